@@ -214,9 +214,9 @@ def test_a_server_without_a_policy_is_shown_in_its_own_words(policy_server: Any)
         ({"action_space": "joint_velocity"}, "'joint_velocity', the configuration says 'joint_pos"),
         ({"action_space": "cartesian_velocity"}, "'cartesian_velocity', the configuration"),
         ({"action_space": "ee_pose"}, "'ee_pose', the configuration says 'joint_position'"),
-        ({"n_external_cameras": 2}, r"wants 2 external cameras \(image_keys has 1\)"),
-        ({"needs_wrist_camera": True}, "wants a wrist camera"),
-        ({"needs_stereo_camera": True}, "wants both images"),
+        ({"n_external_cameras": 2}, r"needs 2 external cameras \(image_keys has 1\)"),
+        ({"needs_wrist_camera": True}, "needs a wrist camera"),
+        ({"needs_stereo_camera": True}, "needs both images"),
         ({"image_resolution": [0, 4]}, "image_resolution is"),
     ],
 )

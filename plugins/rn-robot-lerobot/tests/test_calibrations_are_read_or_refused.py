@@ -86,6 +86,6 @@ def test_other_versions_of_lerobot_are_refused_by_number(version: str) -> None:
 
 
 def test_an_environment_without_lerobot_is_refused_with_what_to_do() -> None:
-    with pytest.raises(MissingDependencyError, match="here is none") as refused:
+    with pytest.raises(MissingDependencyError, match="this one has none") as refused:
         check_version(None)
     assert "python = ..." in refused.value.hint

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rn_simulation.stepped import PATIENCE_S, SETTLE_S, Phase, SteppedTime
+from rn_simulation.stepped import PATIENCE_S, SETTLE_S, SteppedTime, WorldPhase
 
 STEP_S = 1 / 240
 SETTLING = round(SETTLE_S / STEP_S)
@@ -20,14 +20,14 @@ def run(stepped: SteppedTime, now_s: float = 0.0, due: int = 7) -> int:
 def rested() -> SteppedTime:
     stepped = SteppedTime(STEP_S)
     assert run(stepped) == SETTLING
-    assert stepped.phase is Phase.RESTING
+    assert stepped.phase is WorldPhase.RESTING
     return stepped
 
 
 def test_it_begins_by_settling_and_then_rests_for_ever():
     stepped = rested()
     assert stepped.grant(1000, 1e6, 10**15) == 0
-    assert stepped.phase is Phase.RESTING
+    assert stepped.phase is WorldPhase.RESTING
     assert stepped.count == 0
 
 
@@ -36,7 +36,7 @@ def test_a_command_lasts_as_long_as_it_says_whatever_the_wall_clock_does():
         stepped = rested()
         stepped.command(0.1, 0)
         assert run(stepped, 1.0, due) == 24
-        assert (stepped.phase, stepped.count) == (Phase.WAITING, 1)
+        assert (stepped.phase, stepped.count) == (WorldPhase.WAITING, 1)
         assert stepped.grant(1000, 1.0 + 0.9 * PATIENCE_S, 0) == 0
 
 
@@ -57,15 +57,15 @@ def test_it_settles_when_no_command_comes():
     stepped.note_made(1.0, 0)
     now_s = 1.01 + PATIENCE_S
     assert stepped.grant(5, now_s, 7) == 5
-    assert (stepped.phase, stepped.since_ns) == (Phase.SETTLING, 7)
+    assert (stepped.phase, stepped.since_ns) == (WorldPhase.SETTLING, 7)
     assert run(stepped, now_s) == SETTLING - 5
-    assert (stepped.phase, stepped.count) == (Phase.RESTING, 1)
+    assert (stepped.phase, stepped.count) == (WorldPhase.RESTING, 1)
 
 
 def test_a_hold_settles_at_once_and_moves_no_time_at_rest():
     stepped = rested()
     stepped.settle(5)
-    assert stepped.phase is Phase.RESTING
+    assert stepped.phase is WorldPhase.RESTING
     stepped.command(0.1, 6)
     stepped.settle(7)
-    assert stepped.phase is Phase.SETTLING
+    assert stepped.phase is WorldPhase.SETTLING

@@ -22,7 +22,7 @@ from rn_simulation.scene_state import (
     to_message,
 )
 from rn_simulation.slip import slips_after_s
-from rn_simulation.stepped import CLOCK_TOPIC, Phase, SteppedTime, to_clock
+from rn_simulation.stepped import CLOCK_TOPIC, SteppedTime, WorldPhase, to_clock
 from rn_simulation.twin import CellTwin
 from roboneuron import (
     ConfigurationError,
@@ -164,7 +164,7 @@ class SimulatedArmDriver:
         It would otherwise move the set points by what the motors are off, at any time.
         """
         state, names = self._state, self._cell.joints
-        if state is None or self._stepped.phase is not Phase.RESTING:
+        if state is None or self._stepped.phase is not WorldPhase.RESTING:
             return False
         if not set(command.names) <= set(names):
             return False
@@ -185,7 +185,7 @@ class SimulatedArmDriver:
         with self._time.stepping:
             stands = self._make(steps)
             position, velocity = simulation.joint_states()
-            if self.waits_for_commands and self._stepped.phase is Phase.RESTING:
+            if self.waits_for_commands and self._stepped.phase is WorldPhase.RESTING:
                 velocity = np.zeros_like(velocity)  # its time stands
             cubes = simulation.cubes() if publish else None
             is_told = self._tell_clock is not None and (publish or stands)

@@ -18,7 +18,7 @@ PATIENCE_S = 3.0
 """Wall time without a command after which a row of commands counts as ended."""
 
 
-class Phase(IntEnum):
+class WorldPhase(IntEnum):
     """What a stepped simulation does."""
 
     MOVING = 0
@@ -44,25 +44,25 @@ class SteppedTime:
     def __init__(self, step_s: float) -> None:
         """`step_s` is simulated time per step [s]. It begins by settling."""
         self._step_s = step_s
-        self.phase, self.count, self.since_ns = Phase.SETTLING, 0, 0
+        self.phase, self.count, self.since_ns = WorldPhase.SETTLING, 0, 0
         self._left = self._settling = round(SETTLE_S / step_s)
         self._since_s = 0.0
 
     @property
     def stands(self) -> bool:
         """Whether no step is made before the next command or the end of the patience."""
-        return self.phase in (Phase.WAITING, Phase.RESTING)
+        return self.phase in (WorldPhase.WAITING, WorldPhase.RESTING)
 
     def command(self, duration_s: float, now_ns: int) -> None:
         """Make the steps of a command; it replaces the rest of the one before."""
         self._left = max(1, round(duration_s / self._step_s))
-        self._enter(Phase.MOVING, now_ns)
+        self._enter(WorldPhase.MOVING, now_ns)
 
     def settle(self, now_ns: int) -> None:
         """Make steps until all rests, without waiting for another command."""
-        if self.phase is not Phase.RESTING:
+        if self.phase is not WorldPhase.RESTING:
             self._left = self._settling
-            self._enter(Phase.SETTLING, now_ns)
+            self._enter(WorldPhase.SETTLING, now_ns)
 
     def grant(self, due: int, now_s: float, now_ns: int) -> int:
         """How many of `due` steps may be made.
@@ -72,7 +72,7 @@ class SteppedTime:
             now_s: monotonic time.
             now_ns: ROS time.
         """
-        if self.phase is Phase.WAITING and now_s - self._since_s > PATIENCE_S:
+        if self.phase is WorldPhase.WAITING and now_s - self._since_s > PATIENCE_S:
             self.settle(now_ns)
         if self.stands:
             return 0
@@ -84,13 +84,13 @@ class SteppedTime:
         """Note that the granted steps were made; returns True if it stands since then."""
         if self.stands or self._left:
             return False
-        is_command = self.phase is Phase.MOVING
+        is_command = self.phase is WorldPhase.MOVING
         self.count += is_command
         self._since_s = now_s
-        self._enter(Phase.WAITING if is_command else Phase.RESTING, now_ns)
+        self._enter(WorldPhase.WAITING if is_command else WorldPhase.RESTING, now_ns)
         return True
 
-    def _enter(self, phase: Phase, now_ns: int) -> None:
+    def _enter(self, phase: WorldPhase, now_ns: int) -> None:
         self.phase, self.since_ns = phase, now_ns
 
 

@@ -13,7 +13,7 @@ import anyio
 import numpy as np
 import pytest
 
-from rn_standard.tools_arm import grip, joints, pace
+from rn_standard.tools_arm import grip, joints, motion_timing
 from rn_standard.tools_arm.ee_move import MoveEndEffector
 from rn_standard.tools_arm.end_effector import EndEffectorMover
 from rn_standard.tools_arm.joints import JointMover, MoveJoints
@@ -146,7 +146,7 @@ def arm(monkeypatch: pytest.MonkeyPatch) -> Arm:
         return work(lambda _: None)
 
     CONTEXT.run = run
-    for module in (grip, joints, pace):
+    for module in (grip, joints, motion_timing):
         monkeypatch.setattr(module, "time", arm)
     return arm
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from rn_standard.direct_path.delivery import _hold
 from rn_standard.direct_path.exposed import POSES_LABEL, action_endpoint
-from rn_standard.tools_arm import grip, joints, pace
+from rn_standard.tools_arm import grip, joints, motion_timing
 from rn_standard.tools_arm.arm_rows import ArmRows, Rest, of_named_arm
 from rn_standard.tools_arm.ee_move import MoveEndEffector
 from rn_standard.tools_arm.end_effector import EndEffectorMover
@@ -186,7 +186,7 @@ def pair(monkeypatch: pytest.MonkeyPatch) -> Pair:
         return work(lambda _: None)
 
     CONTEXT.run = run
-    for module in (grip, joints, pace):
+    for module in (grip, joints, motion_timing):
         monkeypatch.setattr(module, "time", made)
     return made
 

@@ -26,8 +26,8 @@ from rn_standard.tools_arm.ee_line import (
 from rn_standard.tools_arm.ee_move import AXES, EndEffectorMove, MoveEndEffector
 from rn_standard.tools_arm.grip import Grip, is_lost
 from rn_standard.tools_arm.measured import MeasuredPose
+from rn_standard.tools_arm.motion_timing import MotionTiming, pacer
 from rn_standard.tools_arm.options import ArmToolsOptions
-from rn_standard.tools_arm.pace import Pace, pacer
 from rn_standard.tools_arm.prediction import DrivenArm, PredictedArm, control_of
 from roboneuron import (
     CallContext,
@@ -55,7 +55,7 @@ class _Line:
 
     order: Order
     start: Pose | None = None
-    pace: Pace | None = None
+    pace: MotionTiming | None = None
     held: bool | None = None
     kept: float | None = None
 

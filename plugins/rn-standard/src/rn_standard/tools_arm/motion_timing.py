@@ -14,7 +14,7 @@ from roboneuron import Host, Pose
 from roboneuron.feature import TimedCommand
 
 
-class Pace(Protocol):
+class MotionTiming(Protocol):
     """Time of one motion."""
 
     def elapsed_s(self) -> float:
@@ -34,29 +34,29 @@ class Pace(Protocol):
         ...
 
 
-class RealPace:
+class RealTiming:
     """Actions every `STEP_S` of real time."""
 
     def __init__(self) -> None:
         self._began_s = time.monotonic()
 
     def elapsed_s(self) -> float:
-        """See `Pace`."""
+        """See `MotionTiming`."""
         return time.monotonic() - self._began_s
 
     def pose(self, tcp: MeasuredPose, timeout_s: float) -> Pose:
-        """See `Pace`."""
+        """See `MotionTiming`."""
         return tcp.wait(timeout_s)
 
     def play(self, message: object) -> Iterator[TimedCommand]:
-        """See `Pace`."""
+        """See `MotionTiming`."""
         yield TimedCommand(message=message, due_s=time.monotonic() + STEP_S)
 
     def settle(self) -> None:
-        """See `Pace`: it is at rest."""
+        """See `MotionTiming`: it is at rest."""
 
 
-class SteppedPace:
+class SteppedTiming:
     """The next action follows when the simulation has carried out the one before."""
 
     def __init__(self, world: SteppedWorld) -> None:
@@ -65,26 +65,26 @@ class SteppedPace:
         world.await_rest()
 
     def elapsed_s(self) -> float:
-        """See `Pace`."""
+        """See `MotionTiming`."""
         return self._elapsed_s
 
     def pose(self, tcp: MeasuredPose, timeout_s: float) -> Pose:
-        """See `Pace`."""
+        """See `MotionTiming`."""
         return tcp.wait(timeout_s, newer_than_ns=self._world.clock().since_ns)
 
     def play(self, message: object) -> Iterator[TimedCommand]:
-        """See `Pace`."""
+        """See `MotionTiming`."""
         yield from self._world.carry_out(message)
         self._elapsed_s += STEP_S
 
     def settle(self) -> None:
-        """See `Pace`."""
+        """See `MotionTiming`."""
         self._world.await_rest()
 
 
-def pacer(host: Host, namespace: str) -> Callable[[], Pace]:
+def pacer(host: Host, namespace: str) -> Callable[[], MotionTiming]:
     """What makes the pace of each motion of a robot."""
     if not is_stepped(host.config):
-        return RealPace
+        return RealTiming
     world = SteppedWorld(host, namespace)
-    return lambda: SteppedPace(world)
+    return lambda: SteppedTiming(world)
