@@ -14,7 +14,7 @@ from rn_robot_fr3.limits import ARM_JOINTS
 from rn_robot_fr3.options import SimulatedFr3Options
 from rn_robot_fr3.profile import HOME_RAD, profile
 from rn_simulation.engine import Engine
-from rn_simulation.stepped import CLOCK_TOPIC, Phase
+from rn_simulation.stepped import CLOCK_TOPIC, WorldPhase
 from rn_testing.fakes import MemoryTopics
 from rn_testing.waiting import wait_until
 from roboneuron.contract import JointCommand
@@ -33,12 +33,12 @@ class SteppedRun:
         options = SimulatedFr3Options(seed=5, engine=engine, stepped=True)
         self.driver = SimulatedFr3Driver(options, profile(), self.topics)
         self.driver.open()
-        self.await_phase(Phase.RESTING, 0)
+        self.await_phase(WorldPhase.RESTING, 0)
 
     def _take(self, message: Float64MultiArray) -> None:
         self.clock = list(message.data)
 
-    def await_phase(self, phase: Phase, count: int) -> None:
+    def await_phase(self, phase: WorldPhase, count: int) -> None:
         wait_until(lambda: self.clock[:2] == [phase, count], timeout_s=MOST_S)
 
     def command(self, position: np.ndarray, duration_s: float = 0.1) -> None:
@@ -64,10 +64,10 @@ def test_pauses_between_commands_change_nothing(engine: Engine, opened: list[Ste
         states = []
         for number in range(1, 4):
             run.command(HOME + 0.02 * number)
-            run.await_phase(Phase.WAITING, number)
+            run.await_phase(WorldPhase.WAITING, number)
             states.append(run.positions())
             time.sleep(pause_s)
-        run.await_phase(Phase.RESTING, 3)
+        run.await_phase(WorldPhase.RESTING, 3)
         states.append(run.positions())
         seen.append(np.array(states))
     np.testing.assert_array_equal(seen[0], seen[1])
@@ -78,10 +78,10 @@ def test_a_hold_at_rest_changes_nothing(engine: Engine, opened: list[SteppedRun]
     run = SteppedRun(engine)
     opened.append(run)
     run.command(HOME + 0.05)
-    run.await_phase(Phase.RESTING, 1)
+    run.await_phase(WorldPhase.RESTING, 1)
     before = run.positions()
     run.command(before[:7], 0.05)
     run.driver.hold()
     time.sleep(0.3)
     np.testing.assert_array_equal(run.positions(), before)
-    assert run.clock[:2] == [Phase.RESTING, 1]
+    assert run.clock[:2] == [WorldPhase.RESTING, 1]
