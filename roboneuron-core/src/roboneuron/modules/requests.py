@@ -191,10 +191,15 @@ class RequestGuard:
         """
         name = self._node.resolve_service_name(service)
         found = self._node.get_publishers_info_by_topic(f"rq{name}Request", no_mangle=True)
-        names = {f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in found}
+        # rcl calls the node of an endpoint so that was discovered before its node
+        names = {
+            f"{info.node_namespace.rstrip('/')}/{info.node_name}"
+            for info in found
+            if info.node_name != "_NODE_NAME_UNKNOWN_"
+        }
         return (
             " or ".join(sorted(names - {f"/roboneuron_server_{os.getppid()}"}))
-            or "a node that has left"
+            or "a node whose name is not known: it has just come, or has left"
         )
 
 
