@@ -34,7 +34,7 @@ _BOX_RGB, _OBSTACLE_RGB, _ZONE_RGB, _TARGET_RGB = (
 _TRAIL_RGB, _CAMERA_RGB = (40, 160, 110), (90, 90, 100)
 _PATH_RGB, _ACTING_RGB = (150, 70, 210), (224, 49, 49)
 _GHOST_RGBA = (0.92, 0.47, 0.08, 0.35)
-_GHOST_FROM = 0.02
+_GHOST_FROM = 0.05
 """Distance of a commanded joint from the measured one [rad or m] from which the ghost is shown."""
 _FRUSTUM_M = 0.12
 _TARGET_M = 0.018
