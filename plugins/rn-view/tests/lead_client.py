@@ -90,7 +90,7 @@ class LeadPage:
 
     def _keys(self) -> list[str]:
         shown = "".join(str(props.get("content", "")) for _, props in self.page._snapshot())
-        return [unescape(key) for key in re.findall(r'data-key="([^"]+)"', shown)]
+        return [unescape(key) for key in re.findall(r'id="rn-lead-key" data-key="([^"]+)"', shown)]
 
     def _read(self) -> None:
         try:
