@@ -5,11 +5,13 @@ from __future__ import annotations
 import inspect
 
 import pytest
+from pydantic import ValidationError
 
 from rn_robot_fr3.fci import state_topics
 from rn_robot_fr3.plugin import roboneuron_robots
 from rn_robot_fr3.profile import profile
 from rn_simulation.scene_state import TOPIC
+from rn_standard.stepped.clock import OPTION
 from roboneuron.plugins.availability import is_importable
 from roboneuron.plugins.loading import load_options_model, load_target
 
@@ -33,6 +35,19 @@ def test_every_driver_takes_options_profile_and_topics(driver):
     assert load_options_model(driver) is not None
     for method in ("open", "read", "send", "hold", "close"):
         assert callable(getattr(load_target(driver), method))
+
+
+@pytest.mark.parametrize("driver", SPEC.drivers, ids=lambda driver: driver.name)
+def test_time_waits_for_commands_in_a_simulation_alone(driver):
+    for requirement in driver.requires:
+        if not any(map(is_importable, (requirement.module, *requirement.alternatives))):
+            pytest.skip(f"{requirement.module} is not installed: {requirement.install}")
+    model = load_options_model(driver)
+    if driver.name == "simulated":
+        assert model.model_validate({OPTION: True}).stepped
+    else:
+        with pytest.raises(ValidationError, match=OPTION):
+            model.model_validate({OPTION: True})
 
 
 def test_the_topics_that_drivers_write_are_named_in_the_profile():

@@ -32,7 +32,7 @@ class SimulatedArmOptions(BaseModel):
         default=60.0,
         ge=1.0,
         le=240.0,
-        description="How often the cameras are told the simulation's state.",
+        description="Rate at which the simulation's state is published for the cameras [Hz].",
     )
 
     @field_validator("colours")
