@@ -41,12 +41,13 @@ class Cell:
 
         return end
 
-    def run(self, words: str, ends_with: int | None = 200) -> None:
+    def run(self, words: str, ends_with: int | None = 200, *, is_task: bool = True) -> None:
         self.pictures.admit(SimpleNamespace(name="run_task"), SimpleNamespace())  # type: ignore[arg-type]
         self.pictures.join(10.0)
         assert self.open == 0
         self.shade = ends_with
-        self.history.note(words, "succeeded", "")
+        if is_task:
+            self.history.note(words, "succeeded", "")
         self.pictures.on_call("run_task", {"instruction": words}, "agent", "", 1.0)
         self.pictures.join(10.0)
         assert self.open == 0
@@ -68,6 +69,16 @@ def test_a_task_is_shown_as_it_began_and_as_it_ended(cell: Cell) -> None:
     cell.run("pick up")
     (task,) = cell.tasks.newest()
     assert task.pictures == (True, True)
+    assert abs(cell.shade_of(task.number, is_end=False) - 10) <= 2
+    assert abs(cell.shade_of(task.number, is_end=True) - 200) <= 2
+
+
+def test_a_call_that_is_no_task_leaves_the_pictures_of_the_one_before(cell: Cell) -> None:
+    """A preview, or a call that was refused."""
+    cell.run("pick up")
+    cell.shade = 90
+    cell.run("pick up", ends_with=120, is_task=False)
+    (task,) = cell.tasks.newest()
     assert abs(cell.shade_of(task.number, is_end=False) - 10) <= 2
     assert abs(cell.shade_of(task.number, is_end=True) - 200) <= 2
 

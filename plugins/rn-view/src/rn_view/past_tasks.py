@@ -9,8 +9,8 @@ import logging
 import math
 import threading
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence, Set
+from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -129,10 +129,20 @@ class PastTasks:
         except OSError:
             return None
 
-    def keep(self, instruction: str, first: bytes | None, last: bytes | None) -> None:
-        """Keep pictures of the newest task with these words, and delete the oldest of others."""
+    def keep(
+        self, instruction: str, before: Set[str], first: bytes | None, last: bytes | None
+    ) -> None:
+        """Keep pictures of a task that has ended, and delete the oldest of others.
+
+        Args:
+            instruction: its words.
+            before: numbers of the tasks before it. If no other has these words, the call was no
+                task, such as a preview or one that was refused, and nothing is kept.
+            first, last: JPEG, if there is one.
+        """
         words = instruction.strip()
-        task = next((one for one in self.newest() if one.instruction.strip() == words), None)
+        tasks = (one for one in self.newest() if one.number not in before)
+        task = next((one for one in tasks if one.instruction.strip() == words), None)
         if task is None:
             return
         self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -153,6 +163,14 @@ class Camera(Protocol):
     def __call__(self, on_image: Callable[[Image], None]) -> Callable[[], None]: ...
 
 
+@dataclass(slots=True)
+class _Begun:
+    """A call of run_task: numbers of the tasks before it, and its first picture as JPEG."""
+
+    before: set[str] = field(default_factory=set)
+    picture: bytes | None = None
+
+
 class TaskPictures:
     """Takes a picture when a task begins and when it ends, each on a thread of its own; nothing is
     subscribed to in between.
@@ -164,22 +182,22 @@ class TaskPictures:
 
     def __init__(self, tasks: PastTasks, camera: Callable[[], Camera | None]) -> None:
         self._tasks, self._camera = tasks, camera
-        self._first: list[bytes] = []
+        self._begun = _Begun()
         self._threads: list[threading.Thread] = []
 
     def admit(self, tool: Tool[Any], context: CallContext) -> None:
         """Look at a call that begins; refuses nothing."""
         if tool.name == TASK_TOOL:
-            first = self._first = []
-            self._start(lambda: first.extend(self._take()))
+            begun = self._begun = _Begun()
+            self._start(lambda: self._begin(begun))
 
     def on_call(
         self, tool: str, arguments: Mapping[str, Any], who: str, code: str, took_s: float
     ) -> None:
         """Listener of `Events.call`."""
         if tool == TASK_TOOL:
-            first, instruction = self._first, str(arguments.get("instruction", ""))
-            self._start(lambda: self._finish(instruction, first))
+            begun, instruction = self._begun, str(arguments.get("instruction", ""))
+            self._start(lambda: self._finish(instruction, begun))
 
     def join(self, timeout_s: float) -> None:
         """Wait for pictures that are being taken."""
@@ -192,15 +210,19 @@ class TaskPictures:
         self._threads.append(thread)
         thread.start()
 
-    def _finish(self, instruction: str, first: list[bytes]) -> None:
+    def _begin(self, begun: _Begun) -> None:
+        begun.before.update(task.number for task in self._tasks.newest())
+        begun.picture = self._take()
+
+    def _finish(self, instruction: str, begun: _Begun) -> None:
         last = self._take()
         try:
-            self._tasks.keep(instruction, *(found[0] if found else None for found in (first, last)))
+            self._tasks.keep(instruction, begun.before, begun.picture, last)
         except OSError as error:
             log.error("Pictures of a task cannot be kept: %s", error)
 
-    def _take(self) -> list[bytes]:
-        """One picture as JPEG; empty when none comes."""
+    def _take(self) -> bytes | None:
+        """One picture as JPEG; None when none comes."""
         found: list[Image] = []
         news = threading.Event()
 
@@ -212,16 +234,16 @@ class TaskPictures:
         try:
             camera = self._camera()
             if camera is None:
-                return []
+                return None
             end = camera(take)
             try:
                 news.wait(_PICTURE_S)
             finally:
                 end()
-            return [jpeg(message) for message in found[:1]]
+            return jpeg(found[0]) if found else None
         except (RoboNeuronError, ValueError) as error:
             log.warning("A task has no picture: %s", error)
-            return []
+            return None
 
 
 def jpeg(message: Image) -> bytes:
