@@ -99,6 +99,18 @@ def test_the_yaw_to_be_seen_is_the_cubes_alone_and_a_quarter_turn_changes_nothin
     assert np.allclose(place[1, :, 3:5], [np.sin(to_cube), np.cos(to_cube)], atol=1e-6)
 
 
+def test_from_above_the_gripper_is_turned_to_where_the_cube_alone_says(shards: Path) -> None:
+    rows = np.load(shard_files(shards, 0)[0])[:1].repeat(2)
+    rows["tcp_m"], rows["cube_m"], rows["cube_yaw_rad"] = [0.5, 0.0, 0.3], [0.5, 0.0, 0.02], 0.7
+    for row, yaw_rad in zip(rows, [-0.6, 0.2], strict=True):
+        sine, cosine = np.sin(yaw_rad), np.cos(yaw_rad)
+        row["rotation"] = [[cosine, sine, 0.0], [sine, -cosine, 0.0], [0.0, 0.0, -1.0]]
+    assert situations(rows, 0).turn_rad == pytest.approx([1.3, 0.5], abs=1e-6)
+    # with the cube between the fingers, a turn by more than an eighth would push it away
+    rows["tcp_m"] = rows["cube_m"][:, 0]
+    assert situations(rows, 0).turn_rad == pytest.approx([1.3 - np.pi / 2, 0.5], abs=1e-6)
+
+
 def test_a_held_cube_leaves_no_answer_for_the_others() -> None:
     rows = np.zeros(1, dtype=ROW)
     rows["rotation"] = np.diag([1.0, -1.0, -1.0])
