@@ -15,7 +15,7 @@ from rn_policy_cubes.labels import PLACE_WIDTH
 from rn_policy_cubes.network import Thought
 from rn_policy_cubes.recipe import ACTION_WIDTH, NetworkShape
 
-ACTION_WEIGHT = (1.0, 1.0, 1.0, 0.2, 0.2, 0.6, 1.0)
+ACTION_WEIGHT = (1.0, 1.0, 1.0, 0.2, 0.2, 1.5, 1.0)
 _POINT, _SPOT, _PLACE = 0.5, 1.0, 1.0
 
 

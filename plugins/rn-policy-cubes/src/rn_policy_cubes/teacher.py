@@ -65,11 +65,15 @@ class Situations:
 
     @property
     def turn_rad(self) -> F64:
-        """Smallest turn that aligns the fingers with a side face, within an eighth of a full turn;
-        (n,).
+        """Turn that aligns the fingers with a side face; (n,).
+
+        From above it goes to the face whose yaw in the base frame is within an eighth of a full
+        turn, so that where it ends does not depend on the gripper's own yaw: a network learns the
+        one from the image, and subtracts the other. With the cube between the fingers it is the
+        smallest one.
         """
-        angle = self.cube_yaw_rad - self.yaw_rad
-        return np.asarray(angle - _QUARTER_TURN * np.round(angle / _QUARTER_TURN))
+        facing = _within_an_eighth(self.cube_yaw_rad) - self.yaw_rad
+        return np.where(self.is_inside, _within_an_eighth(facing), facing)
 
     @property
     def is_inside(self) -> Mask:
@@ -80,6 +84,11 @@ class Situations:
     def is_gripped(self) -> Mask:
         """True if the fingers are closed on the cube, (n,)."""
         return np.asarray(self.is_inside & (self.opening < self.edge_m / _FULL_OPENING_M + 0.045))
+
+
+def _within_an_eighth(angle_rad: F64) -> F64:
+    """The angles but for quarter turns, within an eighth of a full turn."""
+    return np.asarray(angle_rad - _QUARTER_TURN * np.round(angle_rad / _QUARTER_TURN))
 
 
 def act(now: Situations) -> F64:
