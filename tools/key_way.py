@@ -35,12 +35,13 @@ STATIONS = (
     "ClosedLoop.__init__",
     "plan_control",
     "Supervisor.start",
+    "Supervisor._spawn",
     "spawn",
     "ModuleHost.__init__",
     "HoldingModule.__init__",
 )
 """Where the value is parsed, kept by the server, planned with, put into the settings of a process,
-sent to it, kept by its node, and used.
+handed to the thread that starts processes, sent to the process, kept by its node, and used.
 """
 WAIT_S = 20.0
 
