@@ -11,7 +11,7 @@ from rn_testing.fakes import fake_registry
 from roboneuron import Arguments, InternalError, NoArguments
 from roboneuron.config import Config
 from roboneuron.planning import Plan
-from roboneuron.server.loop import choose_configured
+from roboneuron.server.loop import choose_nothing
 
 CONFIG = Config.model_validate(
     {
@@ -22,21 +22,20 @@ CONFIG = Config.model_validate(
 )
 
 
-def _choose(kind: str, request: Arguments | None) -> Plan:
-    choose = partial(choose_instruction, choose_configured)
+def _choose(kind: str, request: Arguments) -> Plan:
+    choose = partial(choose_instruction, choose_nothing)
     return choose(kind, CONFIG, fake_registry(), request, "operator")
 
 
 @pytest.mark.parametrize(
     ("request_", "instruction"),
     [
-        (None, "wait"),
         (StartInference(), "wait"),
         (StartInference(instruction=" push the cube "), "push the cube"),
     ],
 )
 def test_the_instruction_of_a_request_comes_before_the_configured_one(
-    request_: Arguments | None, instruction: str
+    request_: Arguments, instruction: str
 ) -> None:
     selection = _choose("inference", request_)
     assert selection.names["backend"] == "instant"
