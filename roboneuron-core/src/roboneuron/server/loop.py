@@ -99,7 +99,7 @@ class ClosedLoop:
 
     Attributes:
         choose: selects a client's request; a feature that lets clients choose installs its own.
-            Without a request, what is configured is started.
+            Without a choice, what is configured is started.
         on_stop: event before a module is stopped.
         starts: requests for motion, and the stops since.
         streams: actions sent on action topics, by namespace, see `stream`.
@@ -171,8 +171,8 @@ class ClosedLoop:
         return {} if spec is None else {camera.name: camera.role for camera in spec.cameras}
 
     def select(self, kind: ModuleKind, request: Arguments | None, role: str = "") -> Plan:
-        """Plan a client's request, or else the configured module, checked against the installed
-        plugins and the running modules.
+        """Plan a client's request, or the configured module for one without arguments, checked
+        against the installed plugins and the running modules.
 
         Nothing is changed.
 
@@ -180,7 +180,7 @@ class ClosedLoop:
             RoboNeuronError: as `choose` and `check`.
         """
         config = self.base if kind == "robot" else self.config
-        if request is None:
+        if request is None or not request.model_fields_set:
             plan = KIND_ENTRIES[kind].check(config, self.registry)
         else:
             plan = self.choose(kind, config, self.registry, request, role)
@@ -219,7 +219,7 @@ class ClosedLoop:
         on_stage: Stage = lambda stage: None,
         role: str = "",
     ) -> ModuleView:
-        """Start a module for a client with `role`; as configured without a request.
+        """Start a module for a client with `role`; as configured without a request or arguments.
 
         Raises:
             RoboNeuronError: as `select` and `Supervisor.start`.

@@ -94,16 +94,16 @@ def choose_instruction(
     request: Arguments,
     role: str,
 ) -> Plan:
-    """Plan the configured module with the instruction of a request of these tools.
+    """Plan the configured policy with the instruction of a request.
 
     Args:
         otherwise: the previous `ClosedLoop.choose`, for other requests.
         kind, config, registry, request, role: see `ClosedLoop.choose`.
     """
-    if not isinstance(request, NoArguments | StartInference):
+    if not isinstance(request, StartInference):
         return otherwise(kind, config, registry, request, role)
     entry = KIND_ENTRIES[kind]
-    if isinstance(request, StartInference) and request.instruction is not None:
+    if request.instruction is not None:
         update = {"instruction": request.instruction}
         section = entry.configured(config, registry).model_copy(update=update)
         config = config.model_copy(update={kind: section})
