@@ -8,6 +8,7 @@ kept, sent or used, and of the functions that were running then, which have hand
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import sys
@@ -151,8 +152,11 @@ def trace_key() -> Way:
 
 
 def main() -> None:
-    """Print the way."""
+    """Print the way, or with --json its counts."""
     way = trace_key()
+    if "--json" in sys.argv:
+        print(json.dumps({"functions": way.functions, "files": len(way.files)}))
+        return
     print(f"control.action_timeout_s: {way.functions} functions, {len(way.files)} files")
     print(way.listing())
 
