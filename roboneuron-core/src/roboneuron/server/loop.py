@@ -76,7 +76,7 @@ class RobotFacts:
 
 Choose = Callable[[ModuleKind, Config, Registry, Arguments, str], Plan]
 """Selects a client's request; called with kind, configuration, plugins, request and role; raises as
-`KindEntry.check`.
+`KindEntry.check`. Only requests with arguments come to it: what is omitted is as configured.
 """
 
 
