@@ -8,6 +8,7 @@ kept, sent or used, and of the functions that were running then, which have hand
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import sys
@@ -35,12 +36,13 @@ STATIONS = (
     "ClosedLoop.__init__",
     "plan_control",
     "Supervisor.start",
+    "Supervisor._spawn",
     "spawn",
     "ModuleHost.__init__",
     "HoldingModule.__init__",
 )
 """Where the value is parsed, kept by the server, planned with, put into the settings of a process,
-sent to it, kept by its node, and used.
+handed to the thread that starts processes, sent to the process, kept by its node, and used.
 """
 WAIT_S = 20.0
 
@@ -150,8 +152,11 @@ def trace_key() -> Way:
 
 
 def main() -> None:
-    """Print the way."""
+    """Print the way, or with --json its counts."""
     way = trace_key()
+    if "--json" in sys.argv:
+        print(json.dumps({"functions": way.functions, "files": len(way.files)}))
+        return
     print(f"control.action_timeout_s: {way.functions} functions, {len(way.files)} files")
     print(way.listing())
 

@@ -105,7 +105,7 @@ def test_a_refusal_names_its_rule(application: Application) -> None:
 
 def test_a_request_that_nothing_reads_is_not_passed_over(application: Application) -> None:
     class StartRobot(Arguments):
-        robot: str = "other"
+        robot: str
 
     with pytest.raises(InternalError, match="cannot read the StartRobot"):
-        application.loop.select("robot", StartRobot())
+        application.loop.select("robot", StartRobot(robot="other"))

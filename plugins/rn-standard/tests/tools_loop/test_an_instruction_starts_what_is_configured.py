@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import partial
+from pathlib import Path
 
 import pytest
 
@@ -10,8 +12,8 @@ from rn_standard.tools_loop.tools import StartInference, choose_instruction
 from rn_testing.fakes import fake_registry
 from roboneuron import Arguments, InternalError, NoArguments
 from roboneuron.config import Config
-from roboneuron.planning import Plan
-from roboneuron.server.loop import choose_configured
+from roboneuron.server.loop import ClosedLoop
+from roboneuron.supervisor.supervisor import Supervisor
 
 CONFIG = Config.model_validate(
     {
@@ -22,9 +24,13 @@ CONFIG = Config.model_validate(
 )
 
 
-def _choose(kind: str, request: Arguments | None) -> Plan:
-    choose = partial(choose_instruction, choose_configured)
-    return choose(kind, CONFIG, fake_registry(), request, "operator")
+@pytest.fixture
+def loop(tmp_path: Path) -> Iterator[ClosedLoop]:
+    supervisor = Supervisor(tmp_path)
+    made = ClosedLoop(CONFIG, fake_registry, supervisor)
+    made.choose = partial(choose_instruction, made.choose)
+    yield made
+    supervisor.close()
 
 
 @pytest.mark.parametrize(
@@ -32,25 +38,28 @@ def _choose(kind: str, request: Arguments | None) -> Plan:
     [
         (None, "wait"),
         (StartInference(), "wait"),
+        (StartInference(instruction=None), "wait"),
         (StartInference(instruction=" push the cube "), "push the cube"),
     ],
 )
 def test_the_instruction_of_a_request_comes_before_the_configured_one(
-    request_: Arguments | None, instruction: str
+    loop: ClosedLoop, request_: Arguments | None, instruction: str
 ) -> None:
-    selection = _choose("inference", request_)
+    selection = loop.select("inference", request_, "operator")
     assert selection.names["backend"] == "instant"
     assert selection.config.inference is not None
     assert selection.config.inference.instruction == instruction
 
 
-def test_other_modules_are_started_as_configured() -> None:
-    assert _choose("control", NoArguments()).names == {"controller": "gantry"}
+def test_other_modules_are_started_as_configured(loop: ClosedLoop) -> None:
+    assert loop.select("control", NoArguments(), "operator").names == {"controller": "gantry"}
 
 
-def test_a_request_that_nobody_reads_is_not_ignored() -> None:
+def test_a_request_that_nobody_reads_is_not_ignored(loop: ClosedLoop) -> None:
     class Foreign(Arguments):
         """Of a feature that is not there."""
 
+        speed: str
+
     with pytest.raises(InternalError, match="cannot read the Foreign"):
-        _choose("control", Foreign())
+        loop.select("control", Foreign(speed="fast"), "operator")

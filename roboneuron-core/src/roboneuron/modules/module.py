@@ -52,10 +52,10 @@ class ModuleNode(ModuleHost):
     reads stdin, and on the executor's when a request has to be judged.
     """
 
-    def __init__(self, settings: ModuleSettings, kind: Callable[[ModuleNode], Module]) -> None:
+    def __init__(self, settings: ModuleSettings, kind: type[Module] | None = None) -> None:
         """Args:
         settings: settings of the process.
-        kind: creates the module, at `configure`.
+        kind: class of the module, instead of that of the settings.
         """
         super().__init__(settings)
         self._kind = kind
@@ -189,7 +189,7 @@ class ModuleNode(ModuleHost):
                 "interpreter's environment too.",
             )
         try:
-            self.module = self._kind(self)
+            self.module = (self._kind or _class_of(self.settings))(self)
             # Loaded objects are kept: a full collection over all of them would pause the loop for
             # up to half a second.
             gc.collect()
@@ -331,7 +331,7 @@ def run(line: str) -> None:
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         signals = Signals()
         signals.listen()
-        node = ModuleNode(settings, _make)
+        node = ModuleNode(settings)
         node.watch_parent(signals.leave)
         try:
             _spin(node, signals)
@@ -341,14 +341,13 @@ def run(line: str) -> None:
             rclpy.try_shutdown()
 
 
-def _make(node: ModuleNode) -> Module:
-    """Create the module that the settings describe, with the feature that provides its kind."""
-    settings = node.settings
+def _class_of(settings: ModuleSettings) -> type[Module]:
+    """Class of the module that the settings describe, of the feature that provides its kind."""
     target = _ROBOT
     if settings.kind != "robot":
         registry = discover(settings.config.disabled_plugins)
         target = registry.get(FeatureSpec, settings.kind).module or ""
-    return cast("type[Module]", load_attribute(target, "class of the module"))(node)
+    return cast("type[Module]", load_attribute(target, "class of the module"))
 
 
 def _spin(node: ModuleNode, signals: Signals) -> None:

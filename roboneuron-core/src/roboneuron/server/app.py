@@ -9,7 +9,7 @@ import logging
 import signal
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -35,7 +35,7 @@ from roboneuron.server.stop_tools import emergency_tool, stop_tools
 from roboneuron.server.surface import Served, make_server
 from roboneuron.server.tool import Resource, Transport
 from roboneuron.supervisor.connection import Connect, Connection
-from roboneuron.supervisor.health import ModuleView, Watch
+from roboneuron.supervisor.health import Watch
 from roboneuron.supervisor.process import Command, module_command
 from roboneuron.supervisor.supervisor import LEAVE_S, Supervisor
 
@@ -104,7 +104,10 @@ class Application:
         self.loop.emergency_stop.audit.on_record = self.events.decision.tell
         self.features = Features(config, self.loop.registry)
         self.supervisor.on_join = self.features.on_join
-        self._watch = Watch(self._look, self.events.health.tell)
+        self._watch = Watch(
+            lambda: self.loop.starts.look(self.loop.emergency_stop.follow_file()),
+            self.events.health.tell,
+        )
         self.tools = ToolRegistry(
             [*stop_tools(self.loop), emergency_tool(self.loop)],
             most_calls=config.server.max_concurrent_calls,
@@ -135,9 +138,6 @@ class Application:
         self.resources: Mapping[str, Resource] = {resource.uri: resource for resource in offered}
         if attached:
             self.features.each("attached", lambda feature: feature.attach(self.host))
-
-    def _look(self) -> Sequence[ModuleView]:
-        return self.loop.starts.look(self.loop.emergency_stop.follow_file())
 
     def check(self) -> None:
         """Check the configuration against the installed plugins.

@@ -74,21 +74,19 @@ class RobotFacts:
         return f"{self.kind} robot {self.name} (driver {self.driver})"
 
 
-Choose = Callable[[ModuleKind, Config, Registry, Arguments | None, str], Plan]
+Choose = Callable[[ModuleKind, Config, Registry, Arguments, str], Plan]
 """Selects a client's request; called with kind, configuration, plugins, request and role; raises as
-`KindEntry.check`.
+`KindEntry.check`. Only requests with arguments come to it: what is omitted is as configured.
 """
 
 
-def choose_configured(
-    kind: ModuleKind, config: Config, registry: Registry, request: Arguments | None, role: str
+def choose_nothing(
+    kind: ModuleKind, config: Config, registry: Registry, request: Arguments, role: str
 ) -> Plan:
-    """Select the configured module, whatever the role."""
-    if request is not None:
-        raise InternalError(
-            f"This server cannot read the {type(request).__name__} that a client sent for {kind}."
-        )
-    return KIND_ENTRIES[kind].check(config, registry)
+    """Refuse a request that no feature reads."""
+    raise InternalError(
+        f"This server cannot read the {type(request).__name__} that a client sent for {kind}."
+    )
 
 
 class ClosedLoop:
@@ -100,8 +98,8 @@ class ClosedLoop:
         supervisor: supervisor of the modules.
 
     Attributes:
-        choose: selects a client's request; a feature that lets clients choose more installs its
-            own.
+        choose: selects a client's request; a feature that lets clients choose installs its own.
+            Without a choice, what is configured is started.
         on_stop: event before a module is stopped.
         starts: requests for motion, and the stops since.
         streams: actions sent on action topics, by namespace, see `stream`.
@@ -119,7 +117,7 @@ class ClosedLoop:
         self.emergency_stop = EmergencyStop(supervisor)
         self.starts = MotionStarts(supervisor)
         self.emergency_stop.file.on_pressed.append(lambda: self.starts.note_stop(EMERGENCY_STOP))
-        self.choose: Choose = choose_configured
+        self.choose: Choose = choose_nothing
         self.on_stop: Callable[[ModuleKind], object] = lambda kind: None
         self.streams: dict[str, deque[SentAction]] = {}
         self._lock = threading.Lock()
@@ -173,17 +171,19 @@ class ClosedLoop:
         return {} if spec is None else {camera.name: camera.role for camera in spec.cameras}
 
     def select(self, kind: ModuleKind, request: Arguments | None, role: str = "") -> Plan:
-        """Plan a client's request, or else the configured module, checked against the installed
-        plugins and the running modules.
+        """Plan a client's request, or the configured module for one without arguments, checked
+        against the installed plugins and the running modules.
 
         Nothing is changed.
 
         Raises:
             RoboNeuronError: as `choose` and `check`.
         """
-        plan = self.choose(
-            kind, self.base if kind == "robot" else self.config, self.registry, request, role
-        )
+        config = self.base if kind == "robot" else self.config
+        if request is None or not request.model_fields_set:
+            plan = KIND_ENTRIES[kind].check(config, self.registry)
+        else:
+            plan = self.choose(kind, config, self.registry, request, role)
         self.check(plan)
         return plan
 
@@ -219,7 +219,7 @@ class ClosedLoop:
         on_stage: Stage = lambda stage: None,
         role: str = "",
     ) -> ModuleView:
-        """Start a module for a client with `role`; as configured without a request.
+        """Start a module for a client with `role`; as configured without a request or arguments.
 
         Raises:
             RoboNeuronError: as `select` and `Supervisor.start`.
@@ -240,7 +240,7 @@ class ClosedLoop:
             if text:
                 self.starts.permit()
             ticket = self.starts.begin(text)
-        self.launch(plan, on_stage)
+        self._supervisor.start(plan, on_stage)
         if kind == "inference":
             self.starts.follow(self._supervisor.slot(kind), ticket)
         else:

@@ -215,9 +215,7 @@ class Tool(Generic[A]):
     @property
     def least_role(self) -> Role:
         """The role that a caller needs."""
-        if self.role:
-            return Role(self.role)
-        return Role.VIEWER if self.read_only else Role.OPERATOR
+        return Role(self.role or (Role.VIEWER if self.read_only else Role.OPERATOR))
 
     def check_caller(self, context: CallContext) -> None:
         """Raise RefusedError, which names the roles, unless the caller may call it."""

@@ -5,7 +5,8 @@ from __future__ import annotations
 import logging
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from roboneuron.config import ModuleSettings
@@ -49,7 +50,6 @@ class Bringup:
         plan: Plan,
         settings: ModuleSettings,
         modules: Modules,
-        spawn: Callable[[ModuleSettings], ModuleProcess],
         client: Callable[[Slot, Callable[[], None]], NodeClient],
         on_stage: Stage,
     ) -> None:
@@ -58,7 +58,6 @@ class Bringup:
         plan: what is started.
         settings: settings for its process.
         modules: the other modules, some of which this one needs.
-        spawn: starts its process.
         client: creates the client of the node in a slot, which calls a function while it waits.
         on_stage: called with a phrase at each stage of the start.
         """
@@ -67,25 +66,21 @@ class Bringup:
         self._settings = settings
         self._modules = modules
         self._changes = modules.changes
-        self._spawn = spawn
         self._make_client = client
         self._on_stage = on_stage
         self._node = f"/{settings.status_name}"
         self._timeout_s = settings.config.start_timeout_s(slot.kind)
+        self._deadline_s = time.monotonic() + self._timeout_s
 
-    def run(self) -> None:
-        """Spawn, configure, activate and wait for readiness; a failure ends the process.
-
-        Raises:
-            RoboNeuronError: see `Supervisor.start`.
+    @contextmanager
+    def settled(self) -> Iterator[None]:
+        """Settle the slot after the start, which is the body of the `with`; a failure ends the
+        process.
         """
-        slot, deadline_s = self._slot, time.monotonic() + self._timeout_s
+        slot = self._slot
         phase: Phase = "stopped"
         try:
-            self._check_robot()
-            self._process = slot.process = self._spawn(self._settings)
-            self._process.reap(self._on_exit)
-            self._prove(deadline_s)
+            yield
             phase = "running"
         finally:
             try:
@@ -98,7 +93,7 @@ class Bringup:
                 self._on_exit(slot.process)  # it died between its readiness check and here
             self._modules.on_change(slot.kind)
 
-    def _check_robot(self) -> None:
+    def check_robot(self) -> None:
         """Refuse a source that needs the robot's driver if there is no robot.
 
         Raises:
@@ -113,44 +108,51 @@ class Bringup:
             )
 
     def _on_exit(self, process: ModuleProcess) -> None:
-        """Handle the end of the process; called on its reaper's thread, and at the end of `run`."""
+        """Handle the end of the process; called on its reaper's thread, and at the end of the
+        start.
+        """
         if self._slot.note_exit(process):
             log.error("%s is gone: %s", self._slot.kind, self._slot.explain_exit())
             self._modules.on_change(self._slot.kind)
 
-    def _prove(self, deadline_s: float) -> None:
-        """Configure, activate, and wait for readiness until that monotonic time.
+    def prove(self, process: ModuleProcess) -> None:
+        """Configure, activate, and wait for readiness.
 
         Each step first waits for its precondition: a first status shows that the process is alive
         and its messages arrive, an answered service that it can be driven.
+
+        Args:
+            process: the module's, just started.
+
+        Raises:
+            RoboNeuronError: see `Supervisor.start`.
         """
+        self._process = self._slot.process = process
+        process.reap(self._on_exit)
         self._stage("starting")
         client = self._client = self._make_client(self._slot, self._check)
         self._check_alone()
-        if (
-            self._changes.wait_for(lambda: self._slot.report, _left(deadline_s), self._check)
-            is None
-        ):
+        if self._changes.wait_for(lambda: self._slot.report, self._left_s(), self._check) is None:
             raise self._too_late("its first status on /diagnostics")
-        if not client.wait_until_served(_left(deadline_s)):
+        if not client.wait_until_served(self._left_s()):
             raise self._too_late("its lifecycle services")
         self._check_alone()
-        self._transition("configure", deadline_s)
-        self._transition("activate", deadline_s)
-        self._await_ready(deadline_s)
+        self._transition("configure")
+        self._transition("activate")
+        self._await_ready()
         self._process.show()
 
-    def _transition(self, name: str, deadline_s: float) -> None:
+    def _transition(self, name: str) -> None:
         """Make one lifecycle transition.
 
         Raises:
-            NotReadyError: no answer by then.
+            NotReadyError: no answer by the deadline.
             RoboNeuronError: the reason that the module reports for its refusal.
         """
         self._stage(f"{name.removesuffix('e')}ing")
         report = self._slot.report
         before = report.error_count if report is not None else 0
-        made = self._client.transition(name, _left(deadline_s))
+        made = self._client.transition(name, self._left_s())
         if made is None:
             raise self._too_late(f"the end of {name!r}")
         if made:
@@ -168,7 +170,7 @@ class Bringup:
             hint=f"See {self._process.log_path}.",
         )
 
-    def _await_ready(self, deadline_s: float) -> None:
+    def _await_ready(self) -> None:
         """Wait until the module reports that it is ready.
 
         Raises:
@@ -205,7 +207,7 @@ class Bringup:
                 )
             return False
 
-        if not self._changes.wait_for(ready, _left(deadline_s)):
+        if not self._changes.wait_for(ready, self._left_s()):
             report = self._slot.report
             raise self._too_late(
                 report.waiting_for if report and report.waiting_for else "its first output"
@@ -254,6 +256,9 @@ class Bringup:
             f"start_timeout_s in [{self._slot.kind}].",
         )
 
+    def _left_s(self) -> float:
+        return max(0.0, self._deadline_s - time.monotonic())
+
     def _stage(self, doing: str) -> None:
         self._doing = doing
         self._since_s = self._reported_s = time.monotonic()
@@ -277,10 +282,6 @@ class Bringup:
                 f"{self._timeout_s:g} s"
                 f"{_memory(self._process.pid)}"
             )
-
-
-def _left(deadline_s: float) -> float:
-    return max(0.0, deadline_s - time.monotonic())
 
 
 def _memory(pid: int) -> str:

@@ -162,7 +162,10 @@ class Supervisor(Modules):
             slot = beside or working
             slot.begin_start(plan, settings)
         self.heartbeat.start()
-        Bringup(slot, plan, settings, self, self._spawn, self.parameters, on_stage).run()
+        bringup = Bringup(slot, plan, settings, self, self.parameters, on_stage)
+        with bringup.settled():
+            bringup.check_robot()
+            bringup.prove(self._spawn(settings))
         return self.view(kind)
 
     def _spawn(self, settings: ModuleSettings) -> ModuleProcess:

@@ -26,10 +26,10 @@ def choose(
     kind: ModuleKind,
     config: Config,
     registry: Registry,
-    request: Arguments | None = None,
+    request: Arguments,
     role: str = "",
 ) -> Plan:
-    """Plan a client's request, or without one the configured module.
+    """Plan a client's request.
 
     Args:
         kind: kind of the module.
@@ -46,8 +46,6 @@ def choose(
         RefusedError: options that only the configuration may set, or a checkpoint outside of the
             permitted folders.
     """
-    chosen_by_agent = request is not None
-    request = request or REQUESTS[kind]()
     told: dict[str, str] = {}
     if isinstance(request, StartChosenInference):
         config, request, told = with_model(config, registry, request)
@@ -58,16 +56,13 @@ def choose(
     policy = plan.policy if isinstance(plan, InferencePlan) else None
     spec = plan.spec
     config = _merge(config, plan.plugin, spec, getattr(request, "options", {}), role)
-    if chosen_by_agent:
-        of_backend = (
-            policy is not None
-            and getattr(request, "runtime", None) is None
-            and spec.name in configured
-        )
-        for part in (spec, *plan.others):
-            is_default = of_backend and isinstance(part, RuntimeSpec)
-            if not is_default and part.name not in configured:
-                check_addresses(part, config.options(part.name))
+    of_backend = (
+        policy is not None and getattr(request, "runtime", None) is None and spec.name in configured
+    )
+    for part in (spec, *plan.others):
+        is_default = of_backend and isinstance(part, RuntimeSpec)
+        if not is_default and part.name not in configured:
+            check_addresses(part, config.options(part.name))
     checkpoint = getattr(request, "checkpoint", None)
     if checkpoint is not None and policy is not None and policy.takes_checkpoint:
         check_may_load(config, checkpoint)

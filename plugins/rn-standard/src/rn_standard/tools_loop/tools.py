@@ -91,21 +91,23 @@ def choose_instruction(
     kind: ModuleKind,
     config: Config,
     registry: Registry,
-    request: Arguments | None,
+    request: Arguments,
     role: str,
 ) -> Plan:
-    """Add the instruction of a request to the selection that `otherwise` makes without a request.
+    """Plan the configured policy with the instruction of a request.
 
     Args:
-        otherwise: the previous `ClosedLoop.choose`; also raises for other requests.
+        otherwise: the previous `ClosedLoop.choose`, for other requests.
         kind, config, registry, request, role: see `ClosedLoop.choose`.
     """
-    if isinstance(request, StartInference) and request.instruction is not None:
-        section = KIND_ENTRIES[kind].configured(config, registry)
+    if not isinstance(request, StartInference):
+        return otherwise(kind, config, registry, request, role)
+    entry = KIND_ENTRIES[kind]
+    if request.instruction is not None:
         update = {"instruction": request.instruction}
-        config = config.model_copy(update={kind: section.model_copy(update=update)})
-    is_of_these_tools = isinstance(request, NoArguments | StartInference)
-    return otherwise(kind, config, registry, None if is_of_these_tools else request, role)
+        section = entry.configured(config, registry).model_copy(update=update)
+        config = config.model_copy(update={kind: section})
+    return entry.check(config, registry)
 
 
 def start_tools(loop: ClosedLoop) -> list[Tool]:
