@@ -29,7 +29,7 @@ from view_stops import Stop, measure_stops  # noqa: E402
 
 from rn_testing.domain import free_ros_domain  # noqa: E402
 from rn_view.options import ViewOptions  # noqa: E402
-from rn_view.viewer import Viewer  # noqa: E402
+from rn_view.web.view_server import Viewer  # noqa: E402
 from rn_view_attached.source import AttachedSource, ViewNode  # noqa: E402
 from roboneuron.config import load_config  # noqa: E402
 from roboneuron.plugins.discovery import discover  # noqa: E402

@@ -16,7 +16,7 @@ sys.path.insert(0, str(Path(__file__).parent))  # view_fakes.py is beside the te
 from view_fakes import FakeOperator, FakeSource, admission
 
 from rn_view.options import ViewOptions
-from rn_view.viewer import Viewer
+from rn_view.web.view_server import Viewer
 
 CHROMIUM = next(
     filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None

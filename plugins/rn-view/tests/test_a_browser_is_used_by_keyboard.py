@@ -15,10 +15,10 @@ from test_recordings_are_labelled_in_the_page import CONTRAST, LEAST
 from view_fakes import FakeSource
 
 from rn_standard.tasks.history import TaskHistory
-from rn_view.alarms import AlarmBook
-from rn_view.past_tasks import PastTasks
-from rn_view.records import RobotRecords
-from rn_view.viewer import Viewer
+from rn_view.diagnostics.alarms import AlarmBook
+from rn_view.sources.records import RobotRecords
+from rn_view.tasks.past_tasks import PastTasks
+from rn_view.web.view_server import Viewer
 from roboneuron.feature import AuditLog
 
 pytestmark = [

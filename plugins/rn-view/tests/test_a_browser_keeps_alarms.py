@@ -14,10 +14,10 @@ from view_fakes import FakeSource
 from view_page import wait_until
 
 from rn_standard.tasks.history import TaskHistory
-from rn_view.alarms import AlarmBook
-from rn_view.past_tasks import PastTasks
-from rn_view.records import RobotRecords
-from rn_view.viewer import Viewer
+from rn_view.diagnostics.alarms import AlarmBook
+from rn_view.sources.records import RobotRecords
+from rn_view.tasks.past_tasks import PastTasks
+from rn_view.web.view_server import Viewer
 from roboneuron.feature import AuditLog
 
 pytestmark = [

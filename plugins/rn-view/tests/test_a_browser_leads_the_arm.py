@@ -13,7 +13,7 @@ from view_fakes import FakeOperator
 from view_page import wait_until
 
 from rn_standard.teleoperation.samples import LeadFeedback, LeadSample
-from rn_view.lead_socket import PageTeleoperator
+from rn_view.teleoperation.sample_socket import PageTeleoperator
 
 pytestmark = [
     pytest.mark.slow,

@@ -13,7 +13,7 @@ from view_page import PIXEL, wait_until
 
 from rn_testing.fakes import fake_registry
 from rn_view.options import ViewOptions
-from rn_view.viewer import Viewer
+from rn_view.web.view_server import Viewer
 from rn_view_recorded.source import RecordedSource
 from roboneuron.config import load_config
 

@@ -12,7 +12,7 @@ from view_fakes import FakeOperator, FakeSource, admission
 from view_page import wait_until
 
 from rn_view.options import ViewOptions
-from rn_view.viewer import Viewer
+from rn_view.web.view_server import Viewer
 
 pytestmark = [
     pytest.mark.slow,

@@ -13,8 +13,8 @@ from view_fakes import FakeOperator, FakeSource, admission
 from view_page import wait_until
 
 from rn_view.options import ViewOptions
-from rn_view.source import ModuleRow
-from rn_view.viewer import Viewer
+from rn_view.sources.source import ModuleRow
+from rn_view.web.view_server import Viewer
 
 pytestmark = pytest.mark.filterwarnings("default:Queued a:UserWarning")
 """viser says so when a page is closed while it is being filled."""

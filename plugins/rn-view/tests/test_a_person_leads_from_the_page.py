@@ -16,7 +16,7 @@ from page_client import PageClient
 from view_fakes import HOME, joints, profile
 from view_page import wait_until
 
-from rn_view.lead import LEAD_PATH, RENEWED_S, PageLead
+from rn_view.teleoperation.slider_goal import LEAD_PATH, RENEWED_S, PageLead
 from roboneuron import NotReadyError, RefusedError
 
 pytestmark = [pytest.mark.timeout(120), pytest.mark.filterwarnings("default:Queued a:UserWarning")]

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import viser
 
-from rn_view.measured import MeasuredTopics, ShownAction
-from rn_view.plots import History, Plots, action_panels
+from rn_view.sources.measured_topics import MeasuredTopics, ShownAction
+from rn_view.visualization.plots import History, Plots, action_panels
 from roboneuron import ACTION_LABEL, EE_DELTA, GRIPPER, Channel, ControlSpace, RobotProfile
 
 JOINTS = ControlSpace(

@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
-from rn_view.alarm_rules import STOP, AlarmRules
-from rn_view.alarms import FILE_NAME, AlarmBook
+from rn_view.diagnostics.alarm_rules import STOP, AlarmRules
+from rn_view.diagnostics.alarms import FILE_NAME, AlarmBook
 from roboneuron import InvalidInputError, RefusedError
 from roboneuron.gate.audit import AuditLog
 

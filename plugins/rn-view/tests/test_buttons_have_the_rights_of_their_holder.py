@@ -10,8 +10,8 @@ import anyio
 import pytest
 
 from rn_standard.http.plugin import FEATURE as HTTP
-from rn_view.live import LiveOperator, LiveSource
 from rn_view.plugin import FEATURE
+from rn_view.sources.server_source import LiveOperator, LiveSource
 from rn_view_attached.source import AttachedSource, ViewNode
 from roboneuron.gate.audit import AuditRecord
 from roboneuron.server.tool import Holder

@@ -12,9 +12,9 @@ import pytest
 import viser
 from geometry_msgs.msg import PoseStamped
 
-from rn_view.measured import MeasuredTopics
-from rn_view.robot_model import RobotModel
-from rn_view.scene import ArmScene
+from rn_view.sources.measured_topics import MeasuredTopics
+from rn_view.visualization.robot_model import RobotModel
+from rn_view.visualization.scene import ArmScene
 from roboneuron import ArmProfile, GripperProfile, Pose, RobotProfile
 from roboneuron.ros.messages import to_pose_stamped
 

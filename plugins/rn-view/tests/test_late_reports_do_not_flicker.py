@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from rn_view.event_list import EventList
-from rn_view.module_health import JOINED_S, SHORT_S, HealthLines, SteadyHealth
-from rn_view.source import ModuleRow
+from rn_view.diagnostics.event_list import EventList
+from rn_view.diagnostics.module_health import JOINED_S, SHORT_S, HealthLines, SteadyHealth
+from rn_view.sources.source import ModuleRow
 
 
 def _row(health, text=""):

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rn_view.acting_limits import SHOWN_S, ActingLimits, limit_counts, limit_place
-from rn_view.predicted_path import PlannedChunk
-from rn_view.source import PageState
+from rn_view.diagnostics.active_limits import SHOWN_S, ActingLimits, limit_counts, limit_place
+from rn_view.sources.source import PageState
+from rn_view.visualization.predicted_path import PlannedChunk
 
 REASONS = {
     "velocity": "j1 would move at 9 per second, allowed is 2.",

@@ -17,11 +17,11 @@ from websockets.sync.client import connect
 
 from rn_standard.http.options import HttpOptions
 from rn_standard.http.tokens import TokenTable
-from rn_view import viewer as viewer_module
-from rn_view.access import check_address, check_port, host_rules
 from rn_view.options import ViewOptions
+from rn_view.page.stop_bar import HEADER, STOP_PATH
 from rn_view.plugin import FEATURE
-from rn_view.stop_bar import HEADER, STOP_PATH
+from rn_view.web import view_server
+from rn_view.web.access import check_address, check_port, host_rules
 from roboneuron import ConfigurationError
 from roboneuron.cli.main import main
 from roboneuron.config import load_config
@@ -111,7 +111,7 @@ def test_the_audit_names_whoever_looks_in_that_browser(serve, source):
 
 
 def test_silent_sockets_take_no_place_and_end(serve, monkeypatch):
-    monkeypatch.setattr(viewer_module, "_SILENT_S", 1.0)
+    monkeypatch.setattr(view_server, "_SILENT_S", 1.0)
     url = serve(max_viewers=1).url
     with ExitStack() as stack:
         crowd = [stack.enter_context(opened(url, origin=url)) for _ in range(8)]
@@ -124,7 +124,7 @@ def test_silent_sockets_take_no_place_and_end(serve, monkeypatch):
 
 
 def test_the_oldest_of_many_silent_sockets_gives_way(serve, monkeypatch):
-    monkeypatch.setattr(viewer_module, "_MOST_SILENT", 4)
+    monkeypatch.setattr(view_server, "_MOST_SILENT", 4)
     url = serve().url
     with ExitStack() as stack:
         crowd = [stack.enter_context(opened(url, origin=url)) for _ in range(6)]
@@ -135,7 +135,7 @@ def test_the_oldest_of_many_silent_sockets_gives_way(serve, monkeypatch):
 
 
 def test_pages_without_a_token_take_no_place_of_those_with_one(serve, monkeypatch):
-    monkeypatch.setattr(viewer_module, "_MOST_WAITING", 3)
+    monkeypatch.setattr(view_server, "_MOST_WAITING", 3)
     url = serve(("0123456789abcdef", "viewer"), max_viewers=1).url
     anonymous = [PageClient(url) for _ in range(5)]
     wait_until(lambda: [page.is_closed for page in anonymous].count(True) == 2)

@@ -11,11 +11,11 @@ import pytest
 from view_fakes import FakeSource
 
 from rn_standard.tasks.history import TaskHistory
-from rn_view.alarms import AlarmBook
-from rn_view.page_requests import KEY_HEADER, PageSeat, PageSeats
-from rn_view.past_tasks import PastTasks, success_rates
-from rn_view.records import RobotRecords
-from rn_view.source import PageState
+from rn_view.diagnostics.alarms import AlarmBook
+from rn_view.sources.records import RobotRecords
+from rn_view.sources.source import PageState
+from rn_view.tasks.past_tasks import PastTasks, success_rates
+from rn_view.web.page_requests import KEY_HEADER, PageSeat, PageSeats
 from roboneuron import RefusedError
 from roboneuron.feature import AuditLog, Holder
 

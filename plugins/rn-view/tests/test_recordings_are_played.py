@@ -11,8 +11,8 @@ import pytest
 from recorded_fakes import BEGIN_NS, LENGTH_S, record, shade
 
 from rn_testing.fakes import fake_registry
-from rn_view.measured import MeasuredTopics
-from rn_view.plots import History
+from rn_view.sources.measured_topics import MeasuredTopics
+from rn_view.visualization.plots import History
 from rn_view_attached.command import ViewCommand
 from rn_view_recorded.source import RecordedSource
 from roboneuron import (

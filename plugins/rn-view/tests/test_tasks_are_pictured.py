@@ -13,8 +13,8 @@ import pytest
 from view_fakes import picture
 
 from rn_standard.tasks.history import TaskHistory
-from rn_view import past_tasks
-from rn_view.past_tasks import PastTasks, TaskPictures
+from rn_view.tasks import past_tasks
+from rn_view.tasks.past_tasks import PastTasks, TaskPictures
 from roboneuron import NotReadyError
 
 pytestmark = pytest.mark.ros

@@ -10,9 +10,9 @@ import pytest
 from mcp import Client, types
 from mcp.server import Server
 
-from rn_view.event_list import AuditReader, EventList, ToolCalls, add_record
-from rn_view.markup import event_rows, modules_table, stop_text
-from rn_view.source import ModuleRow, PageState, said_of
+from rn_view.diagnostics.event_list import AuditReader, EventList, ToolCalls, add_record
+from rn_view.sources.source import ModuleRow, PageState, said_of
+from rn_view.visualization.markup import event_rows, modules_table, stop_text
 
 
 def calls(result):

@@ -15,16 +15,16 @@ from anyio import from_thread
 from rn_standard.http.feature import HttpFeature
 from rn_standard.http.options import HttpOptions
 from rn_standard.http.tokens import TokenFiles, read_tokens
-from rn_view.access import ViewAccess, check_address, check_port, host_rules
-from rn_view.event_list import ToolCalls
-from rn_view.live import LiveOperator, LiveSource
+from rn_view.diagnostics.event_list import ToolCalls
 from rn_view.options import ViewOptions
-from rn_view.past_tasks import Camera, TaskPictures
+from rn_view.sources.server_source import LiveOperator, LiveSource
+from rn_view.tasks.past_tasks import Camera, TaskPictures
+from rn_view.web.access import ViewAccess, check_address, check_port, host_rules
 from roboneuron import Feature, Host, Tool
 from roboneuron.feature import Config, load_profile
 
 if TYPE_CHECKING:
-    from rn_view.viewer import Viewer
+    from rn_view.web.view_server import Viewer
 
 HEARTBEAT = "heartbeat"
 """Of rn-serve-http: it only renews the lease."""
@@ -112,7 +112,7 @@ class _SharedPage:
         operator: LiveOperator,
     ) -> _SharedPage:
         """The page at that address; it also shows this robot from now on."""
-        from rn_view.viewer import Viewer  # heavy
+        from rn_view.web.view_server import Viewer  # heavy
 
         address = options.host, options.port
         with cls._lock:

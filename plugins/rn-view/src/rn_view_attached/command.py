@@ -54,10 +54,10 @@ class ViewCommand:
 
         from rn_standard.http.options import HttpOptions
         from rn_standard.http.tokens import TokenFiles
-        from rn_view.access import ViewAccess, host_rules
         from rn_view.options import ViewOptions
         from rn_view.plugin import FEATURE
-        from rn_view.viewer import Viewer
+        from rn_view.web.access import ViewAccess, host_rules
+        from rn_view.web.view_server import Viewer
         from roboneuron.command import discover, feature_options, load_config
 
         config = load_config(arguments.config)

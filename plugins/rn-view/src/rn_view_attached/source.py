@@ -12,11 +12,11 @@ from typing import TypeVar
 
 from rn_standard.console.diagnostics import DiagnosticsListener
 from rn_standard.console.status import ReportedModule, ServerStatus
-from rn_view.acting_limits import limit_counts
-from rn_view.event_list import AuditReader, EventList, add_record
-from rn_view.live import robot_profile
-from rn_view.module_health import HealthLines
-from rn_view.source import ModuleRow, PageState, said_of
+from rn_view.diagnostics.active_limits import limit_counts
+from rn_view.diagnostics.event_list import AuditReader, EventList, add_record
+from rn_view.diagnostics.module_health import HealthLines
+from rn_view.sources.server_source import robot_profile
+from rn_view.sources.source import ModuleRow, PageState, said_of
 from roboneuron import RobotProfile
 from roboneuron.command import AuditLog, Config, Registry, estop
 

@@ -11,8 +11,8 @@ from contextlib import suppress
 from typing import Any, TypeVar
 
 from rn_recorder_runs.timeline import Timeline
-from rn_view.event_list import EventList, ShownEvent, add_record, shown_arguments
-from rn_view.playback import Mark
+from rn_view.diagnostics.event_list import EventList, ShownEvent, add_record, shown_arguments
+from rn_view.recordings.playback import Mark
 from roboneuron.command import FAULTS
 
 T = TypeVar("T", bound=tuple[Any, ...])

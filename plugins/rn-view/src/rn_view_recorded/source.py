@@ -18,11 +18,11 @@ from rn_recorder_runs.episodes import stamp_of
 from rn_recorder_runs.files import Record
 from rn_recorder_runs.images import pixels_of
 from rn_recorder_runs.timeline import Timeline
-from rn_view.acting_limits import limit_counts
-from rn_view.event_list import ShownEvent
-from rn_view.live import robot_profile
-from rn_view.playback import Playback
-from rn_view.source import ModuleRow, PageState, said_of
+from rn_view.diagnostics.active_limits import limit_counts
+from rn_view.diagnostics.event_list import ShownEvent
+from rn_view.recordings.playback import Playback
+from rn_view.sources.server_source import robot_profile
+from rn_view.sources.source import ModuleRow, PageState, said_of
 from rn_view_recorded.log import RunLog
 from roboneuron import InvalidInputError, RobotProfile, StateError
 from roboneuron.command import Config, ModuleView, Periodic, Registry, Report

@@ -16,16 +16,16 @@ from rn_standard.http.operator_lease import OperatorLease
 from rn_standard.ops.maintenance import MaintenanceFeature
 from rn_standard.teleoperation.feature import TELEOPERATION, Teleoperation
 from rn_standard.tools_loop.results import ModuleStatus
-from rn_view.acting_limits import limit_counts
-from rn_view.alarm_rules import AlarmRules
-from rn_view.alarms import AlarmBook
-from rn_view.event_list import AuditReader, EventList, add_record, failure_of
-from rn_view.lead_page import RATE_HZ
-from rn_view.lead_socket import PageTeleoperator
-from rn_view.module_health import HealthLines
-from rn_view.past_tasks import TASK_TOOL, PastTasks
-from rn_view.records import RobotRecords
-from rn_view.source import ModuleRow, PageState, said_of
+from rn_view.diagnostics.active_limits import limit_counts
+from rn_view.diagnostics.alarm_rules import AlarmRules
+from rn_view.diagnostics.alarms import AlarmBook
+from rn_view.diagnostics.event_list import AuditReader, EventList, add_record, failure_of
+from rn_view.diagnostics.module_health import HealthLines
+from rn_view.sources.records import RobotRecords
+from rn_view.sources.source import ModuleRow, PageState, said_of
+from rn_view.tasks.past_tasks import TASK_TOOL, PastTasks
+from rn_view.teleoperation.sample_socket import PageTeleoperator
+from rn_view.teleoperation.stick_panel import RATE_HZ
 from roboneuron import Host, RobotProfile
 from roboneuron.feature import (
     FAULTS,

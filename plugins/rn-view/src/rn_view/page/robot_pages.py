@@ -11,13 +11,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rn_view.acting_limits import ActingLimits
-from rn_view.lead import PageLead
-from rn_view.measured import MeasuredTopics
-from rn_view.module_health import SteadyHealth
-from rn_view.page import Page
-from rn_view.plots import History
-from rn_view.source import PageState, Source
+from rn_view.diagnostics.active_limits import ActingLimits
+from rn_view.diagnostics.module_health import SteadyHealth
+from rn_view.page.client_page import Page
+from rn_view.sources.measured_topics import MeasuredTopics
+from rn_view.sources.source import PageState, Source
+from rn_view.teleoperation.slider_goal import PageLead
+from rn_view.visualization.plots import History
 from roboneuron import RoboNeuronError, RobotProfile
 from roboneuron.feature import Periodic
 

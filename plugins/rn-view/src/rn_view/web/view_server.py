@@ -16,18 +16,18 @@ from websockets.exceptions import ConnectionClosed
 
 from rn_standard.http.addresses import bind
 from rn_standard.http.listener import BoundedListener, other_bounds
-from rn_view.access import ViewAccess
-from rn_view.lead import RENEWED_S, PageLead
-from rn_view.lead_socket import LeadSeats
-from rn_view.measured import MeasuredTopics
-from rn_view.operator_calls import Operator
 from rn_view.options import ViewOptions
-from rn_view.page import Page
-from rn_view.page_requests import PageSeats
-from rn_view.showing import Showing
-from rn_view.source import Source
-from rn_view.visitors import Visitors
-from rn_view.web import Web, served_by
+from rn_view.page.client_page import Page
+from rn_view.page.robot_pages import Showing
+from rn_view.sources.measured_topics import MeasuredTopics
+from rn_view.sources.operator_calls import Operator
+from rn_view.sources.source import Source
+from rn_view.teleoperation.sample_socket import LeadSeats
+from rn_view.teleoperation.slider_goal import RENEWED_S, PageLead
+from rn_view.web.access import ViewAccess
+from rn_view.web.page_requests import PageSeats
+from rn_view.web.request_handler import Web, served_by
+from rn_view.web.visitors import Visitors
 
 log = logging.getLogger(__name__)
 TITLE = "RoboNeuron"

@@ -6,9 +6,9 @@ import time
 from collections.abc import Mapping, Sequence
 from html import escape
 
-from rn_view.event_list import ShownEvent
-from rn_view.playback import Mark, Playback
-from rn_view.source import ModuleRow, PageState
+from rn_view.diagnostics.event_list import ShownEvent
+from rn_view.recordings.playback import Mark, Playback
+from rn_view.sources.source import ModuleRow, PageState
 from roboneuron import RobotProfile
 from roboneuron.feature import EXPLANATIONS, FAULTS
 

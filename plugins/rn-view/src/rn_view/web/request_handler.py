@@ -21,14 +21,15 @@ from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
 from rn_standard.http.listener import BACKLOG, BoundedListener
-from rn_view import page_requests, stop_bar
-from rn_view.access import ViewAccess
-from rn_view.lead import LEAD_PATH
-from rn_view.lead_page import with_lead
-from rn_view.lead_socket import LeadSeats
-from rn_view.page_requests import PageSeats
-from rn_view.records_page import with_records
-from rn_view.source import Source
+from rn_view.page import stop_bar
+from rn_view.page.status_strip import with_records
+from rn_view.sources.source import Source
+from rn_view.teleoperation.sample_socket import LeadSeats
+from rn_view.teleoperation.slider_goal import LEAD_PATH
+from rn_view.teleoperation.stick_panel import with_lead
+from rn_view.web import page_requests
+from rn_view.web.access import ViewAccess
+from rn_view.web.page_requests import PageSeats
 from roboneuron import RoboNeuronError
 
 log = logging.getLogger(__name__)

@@ -19,7 +19,7 @@ from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import ConnectionClosed
 
 from rn_standard.teleoperation.samples import LeadFeedback, LeadSample, Subscribe
-from rn_view.lead_page import RATE_HZ, SOCKET_PATH
+from rn_view.teleoperation.stick_panel import RATE_HZ, SOCKET_PATH
 from roboneuron import InvalidInputError, NotReadyError, RoboNeuronError
 
 log = logging.getLogger(__name__)

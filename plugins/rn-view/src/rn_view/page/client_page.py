@@ -11,19 +11,20 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from rn_view import markup, records_page
-from rn_view.acting_limits import limit_place
-from rn_view.lead import PageLead
-from rn_view.lead_page import FULL_SHARE, key_html
-from rn_view.lead_panel import LeadPanel
-from rn_view.lead_socket import LeadSeats, PageTeleoperator
-from rn_view.measured import MeasuredTopics
-from rn_view.operator_calls import Operator
-from rn_view.page_requests import PageSeat, PageSeats
-from rn_view.player import Player
-from rn_view.plots import History, Plots
-from rn_view.scene import PageScene
-from rn_view.source import PageState, Source
+from rn_view.diagnostics.active_limits import limit_place
+from rn_view.page import status_strip
+from rn_view.recordings.playback_controls import Player
+from rn_view.sources.measured_topics import MeasuredTopics
+from rn_view.sources.operator_calls import Operator
+from rn_view.sources.source import PageState, Source
+from rn_view.teleoperation.sample_socket import LeadSeats, PageTeleoperator
+from rn_view.teleoperation.slider_goal import PageLead
+from rn_view.teleoperation.slider_panel import LeadPanel
+from rn_view.teleoperation.stick_panel import FULL_SHARE, key_html
+from rn_view.visualization import markup
+from rn_view.visualization.plots import History, Plots
+from rn_view.visualization.scene import PageScene
+from rn_view.web.page_requests import PageSeat, PageSeats
 from roboneuron import RobotProfile
 from roboneuron.feature import Holder, Role
 
@@ -145,7 +146,7 @@ class Page:
         if self._source.playback is None:
             key = self._page_seats.add(PageSeat(self.holder, self._source, state))
             self._presence.callback(self._page_seats.remove, key)
-            place = self.client.gui.add_html(records_page.key_html(key))
+            place = self.client.gui.add_html(status_strip.key_html(key))
             self._presence.callback(self._forget, place)
         if self._operator is not None:
             self._presence.enter_context(self._operator.present(self.holder))

@@ -7,7 +7,7 @@ from __future__ import annotations
 import json
 from html import escape
 
-from rn_view import label_page
+from rn_view.recordings import label_form
 
 SOCKET_PATH = "/lead/socket"
 """A websocket; `?key=` of a page that may lead."""
@@ -301,8 +301,8 @@ def with_lead(page: str) -> str:
         "full": [FULL_M_S, FULL_RAD_S],
     }
     script = _SCRIPT.replace("(() => {", f"(() => {{ const CONFIG = {json.dumps(config)};", 1)
-    style = f"<style>{_STYLE}{label_page.STYLE}</style>"
+    style = f"<style>{_STYLE}{label_form.STYLE}</style>"
     page = page.replace("</head>", f"{style}</head>", 1)
-    body = _BODY.replace("LABEL_OPEN", label_page.OPEN).replace("LABEL_BODY", label_page.BODY)
-    scripts = f"<script>{script}</script><script>{label_page.SCRIPT}</script>"
+    body = _BODY.replace("LABEL_OPEN", label_form.OPEN).replace("LABEL_BODY", label_form.BODY)
+    scripts = f"<script>{script}</script><script>{label_form.SCRIPT}</script>"
     return page.replace("</body>", f"{body}{scripts}</body>", 1)

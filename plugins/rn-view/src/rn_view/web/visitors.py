@@ -8,7 +8,7 @@ import threading
 from collections.abc import Mapping
 from typing import Protocol
 
-from rn_view.stop_bar import DARK_COOKIE, WIDTH_COOKIE
+from rn_view.page.stop_bar import DARK_COOKIE, WIDTH_COOKIE
 
 _COOKIE = "roboneuron_view"
 _PATTERN = re.compile(rf"(?:^|;\s*){_COOKIE}=([\w-]{{10,80}})(?:;|$)")

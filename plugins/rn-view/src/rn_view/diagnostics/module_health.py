@@ -7,8 +7,8 @@ from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
-from rn_view.event_list import EventList, ShownEvent
-from rn_view.source import ModuleRow
+from rn_view.diagnostics.event_list import EventList, ShownEvent
+from rn_view.sources.source import ModuleRow
 from roboneuron.feature import FAULTS
 
 SHORT_S = 1.0

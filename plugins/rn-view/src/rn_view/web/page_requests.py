@@ -15,8 +15,8 @@ from http import HTTPStatus
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
-from rn_view.past_tasks import success_rates
-from rn_view.source import PageState, Source
+from rn_view.sources.source import PageState, Source
+from rn_view.tasks.past_tasks import success_rates
 from roboneuron import InvalidInputError, NotReadyError, RefusedError, RoboNeuronError
 from roboneuron.feature import Holder, Role
 

@@ -7,7 +7,7 @@ from concurrent.futures import Future
 from contextlib import AbstractContextManager
 from typing import Protocol
 
-from rn_view.lead_socket import PageTeleoperator
+from rn_view.teleoperation.sample_socket import PageTeleoperator
 from roboneuron.feature import Holder
 
 

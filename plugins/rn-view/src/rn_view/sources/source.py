@@ -8,9 +8,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Protocol, TypeVar
 
-from rn_view.event_list import ShownEvents
-from rn_view.playback import Playback
-from rn_view.records import RobotRecords
+from rn_view.diagnostics.event_list import ShownEvents
+from rn_view.recordings.playback import Playback
+from rn_view.sources.records import RobotRecords
 from roboneuron import RobotProfile
 from roboneuron.feature import Config
 

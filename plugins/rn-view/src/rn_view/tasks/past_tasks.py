@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rn_standard.tasks.history import TaskHistory
-from rn_view.records import ShownTask
+from rn_view.sources.records import ShownTask
 from roboneuron import CallContext, RoboNeuronError, Tool, frame_from_buffer
 
 if TYPE_CHECKING:

@@ -7,9 +7,9 @@ from __future__ import annotations
 import time
 from typing import TYPE_CHECKING
 
-from rn_view import markup
-from rn_view.playback import SPEEDS, Playback
-from rn_view.source import PageState
+from rn_view.recordings.playback import SPEEDS, Playback
+from rn_view.sources.source import PageState
+from rn_view.visualization import markup
 
 if TYPE_CHECKING:
     import viser

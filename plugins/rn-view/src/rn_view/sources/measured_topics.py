@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from rn_view.predicted_path import PlannedChunk
-from rn_view.source import Source
+from rn_view.sources.source import Source
+from rn_view.visualization.predicted_path import PlannedChunk
 from roboneuron import ACTION_LABEL, RobotProfile, frame_from_buffer
 
 if TYPE_CHECKING:

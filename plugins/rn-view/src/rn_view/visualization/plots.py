@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rn_view.measured import ShownAction
-from rn_view.source import PageState
+from rn_view.sources.measured_topics import ShownAction
+from rn_view.sources.source import PageState
 from roboneuron import ACTION_LABEL, GRIPPER, channel_keys
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from rn_view.source import PageState
+from rn_view.sources.source import PageState
 
 SHOWN_S = 0.8
 """A limit is shown for so long after it acted: status reports come five times a second."""

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import viser
 
-from rn_view.lead import PageLead
-from rn_view.measured import MeasuredTopics
+from rn_view.sources.measured_topics import MeasuredTopics
+from rn_view.teleoperation.slider_goal import PageLead
 from roboneuron import RoboNeuronError, RobotProfile, robot_space
 
 _TITLE, _SWITCH = "Lead", "Lead with these sliders"

@@ -7,8 +7,8 @@ from __future__ import annotations
 import json
 from html import escape
 
-from rn_view.page_requests import KEY_HEADER, PATH
-from rn_view.records_script import SCRIPT
+from rn_view.page.status_strip_script import SCRIPT
+from rn_view.web.page_requests import KEY_HEADER, PATH
 
 _KEY_ID = "rn-page-key"
 

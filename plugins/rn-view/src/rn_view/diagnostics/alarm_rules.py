@@ -7,8 +7,8 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from rn_view.alarms import AlarmBook
-from rn_view.module_health import SHORT_S
+from rn_view.diagnostics.alarms import AlarmBook
+from rn_view.diagnostics.module_health import SHORT_S
 from roboneuron.feature import EXPLANATIONS, FAULTS
 
 STOP = "emergency stop"

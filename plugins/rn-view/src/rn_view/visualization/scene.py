@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rn_view.acting_limits import LimitPlace, limit_place
-from rn_view.measured import MeasuredTopics, TcpTrack
-from rn_view.predicted_path import PlannedChunk
-from rn_view.robot_model import RobotModel
-from rn_view.source import PageState
+from rn_view.diagnostics.active_limits import LimitPlace, limit_place
+from rn_view.sources.measured_topics import MeasuredTopics, TcpTrack
+from rn_view.sources.source import PageState
+from rn_view.visualization.predicted_path import PlannedChunk
+from rn_view.visualization.robot_model import RobotModel
 from roboneuron import ArmProfile, RobotProfile
 from roboneuron.feature import Config, MotionRules, motion_rules
 

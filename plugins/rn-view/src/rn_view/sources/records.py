@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from rn_view.alarms import AlarmBook
+from rn_view.diagnostics.alarms import AlarmBook
 
 
 class MaintenanceSwitch(Protocol):
