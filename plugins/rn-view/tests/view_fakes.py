@@ -123,7 +123,7 @@ class FakeSource:
     def is_latched(self) -> bool:
         return bool(self.stops)
 
-    def look(self) -> None:
+    def poll(self) -> None:
         pass
 
     def subscribe(

@@ -17,14 +17,15 @@ from rn_standard.http.options import HttpOptions
 from rn_standard.http.tokens import TokenFiles, read_tokens
 from rn_view.diagnostics.event_list import ToolCalls
 from rn_view.options import ViewOptions
-from rn_view.sources.server_source import LiveOperator, LiveSource
-from rn_view.tasks.past_tasks import Camera, TaskPictures
+from rn_view.sources.server_operator import ServerOperator
+from rn_view.sources.server_source import ServerSource
+from rn_view.tasks.task_pictures import Camera, TaskPictures
 from rn_view.web.access import ViewAccess, check_address, check_port, host_rules
 from roboneuron import Feature, Host, Tool
 from roboneuron.feature import Config, load_profile
 
 if TYPE_CHECKING:
-    from rn_view.web.view_server import Viewer
+    from rn_view.web.view_server import ViewServer
 
 HEARTBEAT = "heartbeat"
 """Of rn-serve-http: it only renews the lease."""
@@ -33,7 +34,7 @@ HEARTBEAT = "heartbeat"
 class ViewFeature(Feature[ViewOptions]):
     """Serves the page when `[view] enabled` says so."""
 
-    viewer: Viewer | None = None
+    viewer: ViewServer | None = None
     _shared: _SharedPage | None = None
 
     def check(self, config: Config) -> None:
@@ -52,7 +53,7 @@ class ViewFeature(Feature[ViewOptions]):
     def tools(self, host: Host) -> Sequence[Tool]:
         """No tools; starts to listen to the server's events."""
         if self.options.enabled:
-            self._source = LiveSource(host)
+            self._source = ServerSource(host)
             host.events.health.listen(self._source.on_health)
             host.events.fault.listen(self._source.on_fault)
             pictures = TaskPictures(self._source.past_tasks, partial(_main_camera, host))
@@ -74,7 +75,7 @@ class ViewFeature(Feature[ViewOptions]):
             tokens=TokenFiles(http.options.tokens, os.environ),
             rules=host_rules(self.options, http.options),
         )
-        operator = LiveOperator(host, http.lease)
+        operator = ServerOperator(host, http.lease)
         with contextlib.suppress(RuntimeError):  # not called by a server that serves
             operator.loop = from_thread.run_sync(asyncio.get_running_loop)
         self._shared = _SharedPage.join(
@@ -98,7 +99,7 @@ class _SharedPage:
     _in_use: ClassVar[dict[tuple[str, int], _SharedPage]] = {}
     _lock: ClassVar[threading.Lock] = threading.Lock()
 
-    def __init__(self, viewer: Viewer, address: tuple[str, int]) -> None:
+    def __init__(self, viewer: ViewServer, address: tuple[str, int]) -> None:
         self.viewer = viewer
         self._address = address
 
@@ -107,12 +108,12 @@ class _SharedPage:
         cls,
         options: ViewOptions,
         name: str,
-        source: LiveSource,
+        source: ServerSource,
         admission: ViewAccess,
-        operator: LiveOperator,
+        operator: ServerOperator,
     ) -> _SharedPage:
         """The page at that address; it also shows this robot from now on."""
-        from rn_view.web.view_server import Viewer  # heavy
+        from rn_view.web.view_server import ViewServer  # heavy
 
         address = options.host, options.port
         with cls._lock:
@@ -120,7 +121,7 @@ class _SharedPage:
             if found is not None:
                 found.viewer.join(name, source, operator)
                 return found
-            made = cls(Viewer(options, {name: source}, admission, operator), address)
+            made = cls(ViewServer(options, {name: source}, admission, operator), address)
             made.viewer.open()
             cls._in_use[address] = made
             return made

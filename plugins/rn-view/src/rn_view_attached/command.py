@@ -57,7 +57,7 @@ class ViewCommand:
         from rn_view.options import ViewOptions
         from rn_view.plugin import FEATURE
         from rn_view.web.access import ViewAccess, host_rules
-        from rn_view.web.view_server import Viewer
+        from rn_view.web.view_server import ViewServer
         from roboneuron.command import discover, feature_options, load_config
 
         config = load_config(arguments.config)
@@ -76,7 +76,7 @@ class ViewCommand:
             tokens=TokenFiles(http.tokens, os.environ), rules=host_rules(options, http)
         )
         source, graph = _sources(arguments, robots, discover(config.disabled_plugins))
-        viewer = Viewer(options, source, admission, None)
+        viewer = ViewServer(options, source, admission, None)
         signal.signal(signal.SIGTERM, signal.default_int_handler)
         try:
             graph.open()

@@ -15,13 +15,11 @@ from rn_standard.console.status import ReportedModule, ServerStatus
 from rn_view.diagnostics.active_limits import limit_counts
 from rn_view.diagnostics.event_list import AuditReader, EventList, add_record
 from rn_view.diagnostics.module_health import HealthLines
-from rn_view.sources.server_source import robot_profile
-from rn_view.sources.source import ModuleRow, PageState, said_of
+from rn_view.sources.source import MODULE_KINDS, ModuleRow, PageState, module_row, robot_profile
 from roboneuron import RobotProfile
 from roboneuron.command import AuditLog, Config, Registry, estop
 
 M = TypeVar("M")
-_ORDER = ("robot", "perception", "inference", "control")
 
 
 class ViewNode:
@@ -100,7 +98,7 @@ class AttachedSource:
         modules = {module.module: module for module in self._modules()}
         inference = modules.get("inference")
         control = modules["control"].metrics if "control" in modules else {}
-        rows = tuple(_row(kind, modules.get(kind)) for kind in _ORDER)
+        rows = tuple(_row(kind, modules.get(kind)) for kind in MODULE_KINDS)
         for row in rows:
             before = self._healths.get(row.kind, "stopped")
             if row.health != before:
@@ -120,7 +118,7 @@ class AttachedSource:
         """See Source."""
         return estop.EmergencyStopLatch.in_directory(self._state_directory).is_latched()
 
-    def look(self) -> None:
+    def poll(self) -> None:
         """See Source."""
         for record in self._audit.read_new():
             add_record(self.shown_events, record)
@@ -153,15 +151,5 @@ class AttachedSource:
 def _row(kind: str, module: ReportedModule | None) -> ModuleRow:
     if module is None:
         return ModuleRow(kind=kind, health="stopped")
-    error = module.error.message if module.error is not None else ""
-    waits = f"waits for {module.waiting_for}" if module.waiting_for else ""
-    return ModuleRow(
-        kind=kind,
-        health=module.health,
-        text=error or waits or said_of(module.note, module.metrics),
-        rate_hz=module.rate_hz,
-        latency_ms=module.latency_ms,
-        latency_p99_ms=module.latency_p99_ms,
-        age_ms=module.age_ms,
-        dropped=module.dropped,
-    )
+    error = "" if module.error is None else module.error.message
+    return module_row(kind, module.health, module, error=error)

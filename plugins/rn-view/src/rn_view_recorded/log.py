@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 from rn_recorder_runs.timeline import Timeline
 from rn_view.diagnostics.event_list import EventList, ShownEvent, add_record, shown_arguments
 from rn_view.recordings.playback import Mark
+from rn_view.sources.source import chosen_plugin
 from roboneuron.command import FAULTS
 
 T = TypeVar("T", bound=tuple[Any, ...])
@@ -99,16 +100,8 @@ class RunLog:
             self._health.setdefault(module, []).append((at_ns, health, why if is_bad else ""))
             text = f"{module}: {health}{f': {why}' if is_bad else ''} (was {told.get('before')})"
         elif what == "change":
-            names = told.get("names") or {}
-            named = next(
-                (
-                    names[key]
-                    for key in ("robot", "source", "backend", "controller")
-                    if key in names
-                ),
-                "",
-            )
-            self._chosen.setdefault(module, []).append((at_ns, str(named)))
+            named = chosen_plugin(told.get("names") or {})
+            self._chosen.setdefault(module, []).append((at_ns, named))
             return
         elif what == "fault":
             is_bad, text = True, f"{module}: {told.get('fault')}: {told.get('explanation', '')}"

@@ -21,15 +21,13 @@ from rn_recorder_runs.timeline import Timeline
 from rn_view.diagnostics.active_limits import limit_counts
 from rn_view.diagnostics.event_list import ShownEvent
 from rn_view.recordings.playback import Playback
-from rn_view.sources.server_source import robot_profile
-from rn_view.sources.source import ModuleRow, PageState, said_of
+from rn_view.sources.source import MODULE_KINDS, ModuleRow, PageState, module_row, robot_profile
 from rn_view_recorded.log import RunLog
 from roboneuron import InvalidInputError, RobotProfile, StateError
 from roboneuron.command import Config, ModuleView, Periodic, Registry, Report
 
 log = logging.getLogger(__name__)
 M = TypeVar("M")
-_KINDS = ("robot", "perception", "inference", "control")
 _STEP_S = 1 / 30
 _HISTORY_S = 30.0
 """So much of the actions and of the TCP's path is shown after a jump."""
@@ -122,7 +120,7 @@ class RecordedSource:
             told, control = reports.get("inference"), reports.get("control")
             metrics = {} if control is None else control.metrics
             return PageState(
-                modules=tuple(self._row(kind, reports.get(kind), at_ns) for kind in _KINDS),
+                modules=tuple(self._row(kind, reports.get(kind), at_ns) for kind in MODULE_KINDS),
                 is_latched=latched,
                 cause=cause,
                 instruction=(told.instruction if told is not None else "")
@@ -135,7 +133,7 @@ class RecordedSource:
         """See Source."""
         return False
 
-    def look(self) -> None:
+    def poll(self) -> None:
         """See Source: does nothing, as all events were read already."""
 
     def subscribe(
@@ -218,7 +216,7 @@ class RecordedSource:
         for status in self._timeline.decode(record).status:
             namespace, _, node = status.name.strip("/").rpartition("/")
             kind = next(
-                (kind for kind in _KINDS if node == kind or node.startswith(f"{kind}_")), None
+                (kind for kind in MODULE_KINDS if node == kind or node.startswith(f"{kind}_")), None
             )
             values = {pair.key: pair.value for pair in status.values}
             if kind is not None and namespace == self._config.namespace and "state" in values:
@@ -231,20 +229,8 @@ class RecordedSource:
         if report is None:
             return ModuleRow(kind=kind, health=health or "stopped", text=why, chosen=chosen)
         assessed = ModuleView(kind=kind, phase="running", report=report).health(at_ns / 1e9)  # type: ignore[arg-type]
-        return ModuleRow(
-            kind=kind,
-            health=health or assessed,
-            text=why
-            or report.error
-            or (f"waits for {report.waiting_for}" if report.waiting_for else "")
-            or said_of(report.note, report.metrics),
-            chosen=chosen,
-            rate_hz=report.rate_hz,
-            latency_ms=report.latency_ms,
-            latency_p99_ms=report.latency_p99_ms,
-            age_ms=report.age_ms,
-            dropped=report.dropped,
-        )
+        error = why or report.error
+        return module_row(kind, health or assessed, report, error=error, chosen=chosen)
 
 
 class _Then:

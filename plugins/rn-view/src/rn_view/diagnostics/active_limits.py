@@ -23,7 +23,7 @@ def limit_counts(metrics: Mapping[str, str]) -> dict[str, int]:
     }
 
 
-class ActingLimits:
+class ActiveLimits:
     """Filter for the states of one robot. For one thread."""
 
     def __init__(self) -> None:
@@ -31,7 +31,7 @@ class ActingLimits:
         self._acted_s: dict[str, float] = {}
         self._reason = ""
 
-    def look(self, state: PageState, now_s: float) -> PageState:
+    def update(self, state: PageState, now_s: float) -> PageState:
         """The state with the limits that act at `now_s` [s], a time that may jump back."""
         before, self._counts = self._counts, state.limit_counts
         # not at the first look: how long ago it acted is not known

@@ -59,7 +59,7 @@ class AlarmRules:
         elif health in ("ok", "stopped"):
             self._book.end(module)
 
-    def look(self) -> None:
+    def poll(self) -> None:
         """Raise what has lasted long enough; a few times a second."""
         now_s = self._clock()
         with self._lock:

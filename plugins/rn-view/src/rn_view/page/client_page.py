@@ -13,18 +13,18 @@ from numpy.typing import NDArray
 
 from rn_view.diagnostics.active_limits import limit_place
 from rn_view.page import status_strip
-from rn_view.recordings.playback_controls import Player
+from rn_view.recordings.playback_controls import PlaybackControls
 from rn_view.sources.measured_topics import MeasuredTopics
 from rn_view.sources.operator_calls import Operator
 from rn_view.sources.source import PageState, Source
-from rn_view.teleoperation.sample_socket import LeadSeats, PageTeleoperator
-from rn_view.teleoperation.slider_goal import PageLead
-from rn_view.teleoperation.slider_panel import LeadPanel
+from rn_view.teleoperation.sample_socket import LeadSockets, PageTeleoperator
+from rn_view.teleoperation.slider_goal import SliderGoal
+from rn_view.teleoperation.slider_panel import SliderPanel
 from rn_view.teleoperation.stick_panel import FULL_SHARE, key_html
 from rn_view.visualization import markup
 from rn_view.visualization.plots import History, Plots
 from rn_view.visualization.scene import PageScene
-from rn_view.web.page_requests import PageSeat, PageSeats
+from rn_view.web.page_requests import OpenPage, OpenPages
 from roboneuron import RobotProfile
 from roboneuron.feature import Holder, Role
 
@@ -55,9 +55,9 @@ class Page:
         operators: Mapping[str, Operator],
         admit: Callable[[str], Holder | None],
         on_choice: Callable[[Page], object],
-        on_lead: Callable[[Page, PageLead, object], object],
-        seats: LeadSeats,
-        page_seats: PageSeats,
+        on_lead: Callable[[Page, SliderGoal, object], object],
+        lead_sockets: LeadSockets,
+        open_pages: OpenPages,
     ) -> None:
         """Args:
         sources: what can be shown, by the robot's name; the first is shown first, and of several
@@ -67,7 +67,7 @@ class Page:
         admit: returns the holder of a token; None if it is nobody's.
         on_choice: called when another robot is chosen.
         on_lead: called when this page begins to lead, with the object that it leads as.
-        seats: registry of the pages that may lead by hand.
+        lead_sockets: registry of the pages that may lead by hand.
         """
         self.client = client
         self.holder: Holder | None = None
@@ -77,7 +77,7 @@ class Page:
         self._operators = operators
         self._operator = operators.get(next(iter(sources)))
         self._admit = admit
-        self._on_lead, self._seats, self._page_seats = on_lead, seats, page_seats
+        self._on_lead, self._lead_sockets, self._open_pages = on_lead, lead_sockets, open_pages
         self._lock = threading.Lock()
         self._content: _Content | None = None
         self._tries = _TRIES
@@ -137,15 +137,15 @@ class Page:
         self,
         profile: RobotProfile,
         history: History,
-        lead: PageLead,
+        lead: SliderGoal,
         measured: Callable[[], MeasuredTopics | None],
         state: Callable[[], PageState],
     ) -> None:
         """Build the rest of the page for its holder."""
         assert self.holder is not None
         if self._source.playback is None:
-            key = self._page_seats.add(PageSeat(self.holder, self._source, state))
-            self._presence.callback(self._page_seats.remove, key)
+            key = self._open_pages.add(OpenPage(self.holder, self._source, state))
+            self._presence.callback(self._open_pages.remove, key)
             place = self.client.gui.add_html(status_strip.key_html(key))
             self._presence.callback(self._forget, place)
         if self._operator is not None:
@@ -156,10 +156,10 @@ class Page:
             else self._call
         )
 
-        def add_lead() -> LeadPanel | None:
+        def add_lead() -> SliderPanel | None:
             if buttons is None or not lead.bounds:
                 return None
-            return LeadPanel(
+            return SliderPanel(
                 self.client.gui,
                 profile,
                 lead,
@@ -250,8 +250,8 @@ class Page:
         labels = operator.has("label_recording")
         if not speeds and not labels:
             return
-        key = self._seats.add(name, source, self._start_call, self._fetch)
-        self._presence.callback(self._seats.remove, key)
+        key = self._lead_sockets.add(name, source, self._start_call, self._fetch)
+        self._presence.callback(self._lead_sockets.remove, key)
         html = key_html(key, speeds, labels=labels)
         place = self.client.gui.add_html(html)
         self._presence.callback(self._forget, place)
@@ -296,7 +296,7 @@ class _Content:
         profile: RobotProfile,
         history: History,
         call: Callable[[str, dict[str, object]], None] | None,
-        add_lead: Callable[[], LeadPanel | None],
+        add_lead: Callable[[], SliderPanel | None],
         width_px: int,
     ) -> None:
         gui = client.gui
@@ -304,7 +304,9 @@ class _Content:
         self._profile = profile
         self._history = history
         self._gui = gui
-        self._player = Player(gui, source.playback) if source.playback is not None else None
+        self._player = (
+            PlaybackControls(gui, source.playback) if source.playback is not None else None
+        )
         self._client = client
         self._instruction = gui.add_html("")
         buttons = () if call is None else (self._add_buttons(call),)

@@ -11,12 +11,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rn_view.diagnostics.active_limits import ActingLimits
+from rn_view.diagnostics.active_limits import ActiveLimits
 from rn_view.diagnostics.module_health import SteadyHealth
 from rn_view.page.client_page import Page
 from rn_view.sources.measured_topics import MeasuredTopics
 from rn_view.sources.source import PageState, Source
-from rn_view.teleoperation.slider_goal import PageLead
+from rn_view.teleoperation.slider_goal import SliderGoal
 from rn_view.visualization.plots import History
 from roboneuron import RoboNeuronError, RobotProfile
 from roboneuron.feature import Periodic
@@ -26,7 +26,7 @@ _MOTION_S, _STATE_S, _SCENE_PICTURE_S, _IDLE_S = 1 / 25, 0.25, 0.5, 0.5
 _LEAST_WIDTH_PX, _MOST_WIDTH_PX = 320, 640
 
 
-class Showing:
+class RobotPages:
     """Fills the pages of one robot from `start` to `close`; usable from any thread.
 
     Args:
@@ -52,10 +52,10 @@ class Showing:
         self._lock = threading.RLock()
         self._pages: list[Page] = []
         self._profile: RobotProfile | None = None
-        self._lead: PageLead | None = None
+        self._lead: SliderGoal | None = None
         self._place: tuple[str, str] = ("", "")
         self._history = History()
-        self._steady, self._limits = SteadyHealth(), ActingLimits()
+        self._steady, self._limits = SteadyHealth(), ActiveLimits()
         self._shown: dict[str, tuple[int, float, float]] = {}
         self._is_closing = threading.Event()
         self._motion = Periodic("view-motion", _MOTION_S, self._show_motion)
@@ -122,7 +122,7 @@ class Showing:
 
     def _start_looking(self) -> None:
         self._profile = self.source.profile()
-        self._lead = PageLead(self._profile)
+        self._lead = SliderGoal(self._profile)
         config = self.source.config()
         self._place = (config.robot.name, config.namespace)
         measured = MeasuredTopics(self.source, self._profile)
@@ -153,7 +153,7 @@ class Showing:
     def _show_state(self) -> None:
         measured = self.measured
         if measured is None:
-            self.source.look()
+            self.source.poll()
             self._looks.wait(_IDLE_S)
             return
         config = self.source.config()
@@ -163,12 +163,12 @@ class Showing:
                 self._stop_looking()
             self._on_other_robot()
             return
-        self.source.look()
+        self.source.poll()
         snapshot = self.source.snapshot()
         now_s = self.source.now_s()
         self._history.add(snapshot, now_s)
         snapshot = replace(snapshot, modules=self._steady.rows(snapshot.modules, now_s))
-        snapshot = self._limits.look(snapshot, now_s)
+        snapshot = self._limits.update(snapshot, now_s)
         self.state = snapshot
         for page in self._all_pages():
             page.update_state(self.source, snapshot, measured)

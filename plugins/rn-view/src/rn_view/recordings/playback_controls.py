@@ -22,7 +22,7 @@ pointer.
 """
 
 
-class Player:
+class PlaybackControls:
     """The controls of one page; `update` shows where the recording is."""
 
     def __init__(self, gui: viser.GuiApi, playback: Playback) -> None:

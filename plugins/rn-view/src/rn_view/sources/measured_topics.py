@@ -162,15 +162,21 @@ class MeasuredTopics:
         self.commanded = dict(zip(message.name, message.position, strict=False))
 
     def _on_image(self, camera: str, message: Image) -> None:
-        pixels = frame_from_buffer(
-            message.data,
-            width=message.width,
-            height=message.height,
-            step=message.step,
-            encoding=message.encoding,
-        )
+        pixels = image_pixels(message)
         stamp_ns = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
         number = self.images[camera][0] + 1 if camera in self.images else 1
         with self.news:
             self.images[camera] = number, pixels, stamp_ns
             self.news.notify_all()
+
+
+def image_pixels(message: Image) -> U8:
+    """Pixels of an image message, uint8 (H, W, 3), RGB. Raises as `frame_from_buffer`."""
+    pixels: U8 = frame_from_buffer(
+        message.data,
+        width=message.width,
+        height=message.height,
+        step=message.step,
+        encoding=message.encoding,
+    )
+    return pixels

@@ -12,9 +12,11 @@ from rn_view.diagnostics.event_list import ShownEvents
 from rn_view.recordings.playback import Playback
 from rn_view.sources.records import RobotRecords
 from roboneuron import RobotProfile
-from roboneuron.feature import Config
+from roboneuron.feature import Config, ModuleKind, Registry, load_profile
 
 M = TypeVar("M")
+MODULE_KINDS: tuple[ModuleKind, ...] = ("robot", "perception", "inference", "control")
+"""In the usual order of starting."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -40,10 +42,69 @@ class ModuleRow:
     dropped: int = 0
 
 
+class ReportedFacts(Protocol):
+    """What the status of a module and its report have in common; see `ModuleRow`."""
+
+    @property
+    def waiting_for(self) -> str: ...
+
+    @property
+    def note(self) -> str: ...
+
+    @property
+    def metrics(self) -> Mapping[str, str]: ...
+
+    @property
+    def rate_hz(self) -> float | None: ...
+
+    @property
+    def latency_ms(self) -> float | None: ...
+
+    @property
+    def latency_p99_ms(self) -> float | None: ...
+
+    @property
+    def age_ms(self) -> float | None: ...
+
+    @property
+    def dropped(self) -> int: ...
+
+
+def module_row(
+    kind: str, health: str, facts: ReportedFacts, *, error: str = "", chosen: str = ""
+) -> ModuleRow:
+    """Row of a module that has reported. Its text is the error; else the input that it waits for;
+    else its note.
+    """
+    waits = f"waits for {facts.waiting_for}" if facts.waiting_for else ""
+    return ModuleRow(
+        kind=kind,
+        health=health,
+        text=error or waits or note_text(facts.note, facts.metrics),
+        chosen=chosen,
+        rate_hz=facts.rate_hz,
+        latency_ms=facts.latency_ms,
+        latency_p99_ms=facts.latency_p99_ms,
+        age_ms=facts.age_ms,
+        dropped=facts.dropped,
+    )
+
+
+def chosen_plugin(started_with: Mapping[str, object]) -> str:
+    """Name of the plugin that a module was started with, such as its backend; empty if unknown."""
+    keys = ("robot", "source", "backend", "controller")
+    return next((str(started_with[key]) for key in keys if key in started_with), "")
+
+
+def robot_profile(config: Config, registry: Registry) -> RobotProfile:
+    """Profile of the configured robot. Raises RoboNeuronError when its plugin cannot be used."""
+    return load_profile(registry, config.robot.name)
+
+
 _PARTS = {part: f"backend.shared.{part}_ms" for part in ("round_trip", "link", "queue", "model")}
 
 
-def said_of(note: str, metrics: Mapping[str, str]) -> str:
+def note_text(note: str, metrics: Mapping[str, str]) -> str:
     """A module's note, and, if its policy runs on another machine, how the response time is split.
 
     Args:
@@ -66,10 +127,10 @@ class PageState:
         modules: in the usual order of starting.
         is_latched, cause: the emergency stop, and who pressed it and why.
         instruction: what the backend was told.
-        limit: control's words on the limit that acted last; after `ActingLimits` on the one that
+        limit: control's words on the limit that acted last; after `ActiveLimits` on the one that
             acts now, empty without one.
         limit_counts: how often each limit has acted, by its name as in `[limits] on_<name>`.
-        limits: those that act now, see `ActingLimits`.
+        limits: those that act now, see `ActiveLimits`.
     """
 
     modules: tuple[ModuleRow, ...] = ()
@@ -126,7 +187,7 @@ class Source(Protocol):
         """Whether the emergency stop is latched; answers at once, also while no page is open."""
         ...
 
-    def look(self) -> None:
+    def poll(self) -> None:
         """Read the audit and other files; called a few times a second; adds to `shown_events`."""
         ...
 

@@ -123,12 +123,12 @@ class PageTeleoperator:
         )
 
 
-class LeadSeats:
+class LeadSockets:
     """The pages that may lead, by the keys of their websockets; usable from any thread."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._seats: dict[str, _Seat] = {}
+        self._sockets: dict[str, _LeadSocket] = {}
 
     def add(self, name: str, source: PageTeleoperator, call: Call, fetch: Fetch) -> str:
         """Let a page lead; returns its key.
@@ -141,15 +141,15 @@ class LeadSeats:
         """
         key = secrets.token_urlsafe(24)
         with self._lock:
-            self._seats[key] = _Seat(name, source, call, fetch)
+            self._sockets[key] = _LeadSocket(name, source, call, fetch)
         return key
 
     def remove(self, key: str) -> None:
         """Remove a page that is closed or may no longer lead."""
         with self._lock:
-            seat = self._seats.pop(key, None)
-        if seat is not None:
-            seat.source.lost("The page was closed")
+            socket = self._sockets.pop(key, None)
+        if socket is not None:
+            socket.source.lost("The page was closed")
 
     def is_asked(self, connection: ServerConnection) -> bool:
         """Whether this websocket is one of a page that leads."""
@@ -161,14 +161,14 @@ class LeadSeats:
         assert connection.request is not None
         key = parse_qs(urlsplit(connection.request.path).query).get("key", [""])[0]
         with self._lock:
-            seat = self._seats.get(key)
-        if seat is None or seat.is_taken:
+            socket = self._sockets.get(key)
+        if socket is None or socket.is_taken:
             await connection.close(_REFUSED, "This page may not lead.")
             return
-        await seat.serve(connection)
+        await socket.serve(connection)
 
 
-class _Seat:
+class _LeadSocket:
     """One page that may lead."""
 
     def __init__(self, name: str, source: PageTeleoperator, call: Call, fetch: Fetch) -> None:

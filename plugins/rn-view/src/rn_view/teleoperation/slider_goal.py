@@ -28,7 +28,7 @@ _MOST_STEP_S = 0.1
 """A goal that nobody asked for during a pause goes on as if the pause had been so long."""
 
 
-class PageLead:
+class SliderGoal:
     """Who leads one robot, and to where; usable from any thread.
 
     Attributes:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import viser
 
 from rn_view.sources.measured_topics import MeasuredTopics
-from rn_view.teleoperation.slider_goal import PageLead
+from rn_view.teleoperation.slider_goal import SliderGoal
 from roboneuron import RoboNeuronError, RobotProfile, robot_space
 
 _TITLE, _SWITCH = "Lead", "Lead with these sliders"
@@ -28,7 +28,7 @@ class _Slider:
     scale: float
 
 
-class LeadPanel:
+class SliderPanel:
     """A folder of one page, closed at first.
 
     Args:
@@ -44,7 +44,7 @@ class LeadPanel:
         self,
         gui: viser.GuiApi,
         profile: RobotProfile,
-        lead: PageLead,
+        lead: SliderGoal,
         measured: Callable[[], MeasuredTopics | None],
         on_lead: Callable[[object], object],
         tell: Callable[[str, str], object],

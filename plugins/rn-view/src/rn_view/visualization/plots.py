@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rn_view.sources.measured_topics import ShownAction
-from rn_view.sources.source import PageState
+from rn_view.sources.source import MODULE_KINDS, PageState
 from roboneuron import ACTION_LABEL, GRIPPER, channel_keys
 
 if TYPE_CHECKING:
@@ -34,7 +34,6 @@ _UNITS = {
     "ee_pose": "m, quaternion",
 }
 """Units of the channels but for grippers, by kind of control space."""
-_KINDS = ("robot", "perception", "inference", "control")
 _HEIGHT_PX = 130
 _BEHIND = 10.0
 """Place of the plots after those of the actions."""
@@ -66,7 +65,7 @@ class History:
         """
         rows = [row for row in list(self._rows) if now_s - row[0] <= span_s]
         ages = np.array([row[0] - now_s for row in rows])
-        values = [np.array([_value(row, index, kind) for row in rows]) for kind in _KINDS]
+        values = [np.array([_value(row, index, kind) for row in rows]) for kind in MODULE_KINDS]
         return (ages, *values)
 
 
@@ -142,8 +141,8 @@ class Plots:
         self._actions: list[tuple[ActionPanel, viser.GuiUplotHandle]] = []
         self._show_channels(ACTION_LABEL)
         with place:
-            self._latency = self._plot("latency [ms]; 0: not said", _KINDS, order=_BEHIND)
-            self._rate = self._plot("rate [Hz]", _KINDS, order=_BEHIND + 1.0)
+            self._latency = self._plot("latency [ms]; 0: not said", MODULE_KINDS, order=_BEHIND)
+            self._rate = self._plot("rate [Hz]", MODULE_KINDS, order=_BEHIND + 1.0)
 
     def update(self, actions: Sequence[ShownAction], history: History, now_s: float) -> None:
         """Show the newest values; `now_s` is the time of `Source.now_s`."""

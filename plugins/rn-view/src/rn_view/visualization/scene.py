@@ -87,13 +87,8 @@ class ArmScene:
             return
         lines = np.stack([points[:-1], points[1:]], axis=1).astype(np.float32)
         if self._path is None:
-            self._path = self._scene.add_line_segments(
-                f"{self.place}/predicted",
-                points=lines,
-                colors=_PATH_RGB,
-                thickness=4.0,
-                thickness_units="screen",
-            )
+            name = f"{self.place}/predicted"
+            self._path = _add_lines(self._scene, name, lines, _PATH_RGB, width_px=4.0)
         self._path.points = lines
         self._path.visible = True
 
@@ -121,13 +116,8 @@ class ArmScene:
         if len(trail) > 1 and mark != self._shown[1]:
             points = np.stack([trail[:-1], trail[1:]], axis=1)
             if self._trail is None:
-                self._trail = self._scene.add_line_segments(
-                    f"{self.place}/trail",
-                    points=points,
-                    colors=_TRAIL_RGB,
-                    thickness=2.0,
-                    thickness_units="screen",
-                )
+                name = f"{self.place}/trail"
+                self._trail = _add_lines(self._scene, name, points, _TRAIL_RGB, width_px=2.0)
             self._trail.points = points.astype(np.float32)
         if self._trail is not None:
             self._trail.visible = len(trail) > 1  # none yet at the beginning of a recording
@@ -308,13 +298,8 @@ class PageScene:
         """Show the workspace box as lines, and forbidden zones and obstacles as boxes."""
         if np.isfinite(limits.lower_m).all() and np.isfinite(limits.upper_m).all():
             lower, upper = limits.lower_m, limits.upper_m
-            self._workspace = self._scene.add_line_segments(
-                "/workspace",
-                points=_edges(lower, upper),
-                colors=_BOX_RGB,
-                thickness=1.5,
-                thickness_units="screen",
-            )
+            edges = _edges(lower, upper)
+            self._workspace = _add_lines(self._scene, "/workspace", edges, _BOX_RGB, width_px=1.5)
             # the corner beside which there is room, on a phone too
             behind = np.array([lower[0], upper[1], upper[2]])
             self._scene.add_label(
@@ -357,6 +342,19 @@ class PageScene:
             1.25 if is_phone else 0.85
         )
         client.camera.look_at = centre - np.array([0.0, 0.0, _BELOW_M * is_phone])
+
+
+def _add_lines(
+    scene: viser.SceneApi,
+    name: str,
+    points: NDArray[Any],
+    rgb: tuple[int, int, int],
+    width_px: float,
+) -> viser.LineSegmentsHandle:
+    """Add line segments between pairs of points [m] (n, 2, 3)."""
+    return scene.add_line_segments(
+        name, points=points, colors=rgb, thickness=width_px, thickness_units="screen"
+    )
 
 
 def _edges(lower: F64, upper: F64) -> F64:

@@ -16,7 +16,7 @@ from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 from rn_view.sources.source import PageState, Source
-from rn_view.tasks.past_tasks import success_rates
+from rn_view.tasks.success_rates import success_rates
 from roboneuron import InvalidInputError, NotReadyError, RefusedError, RoboNeuronError
 from roboneuron.feature import Holder, Role
 
@@ -32,7 +32,7 @@ Body = tuple[HTTPStatus, bytes, str]
 
 
 @dataclass(frozen=True, slots=True)
-class PageSeat:
+class OpenPage:
     """An open page: who looks, at what, and the newest state that it shows."""
 
     holder: Holder
@@ -40,35 +40,35 @@ class PageSeat:
     state: Callable[[], PageState]
 
 
-class PageSeats:
+class OpenPages:
     """The open pages by their keys; usable from any thread."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._seats: dict[str, PageSeat] = {}
+        self._pages: dict[str, OpenPage] = {}
 
-    def add(self, seat: PageSeat) -> str:
+    def add(self, page: OpenPage) -> str:
         """A page is open; returns its key."""
         key = secrets.token_urlsafe(24)
         with self._lock:
-            self._seats[key] = seat
+            self._pages[key] = page
         return key
 
     def remove(self, key: str) -> None:
         """The page is gone, or shows another robot."""
         with self._lock:
-            self._seats.pop(key, None)
+            self._pages.pop(key, None)
 
     async def answer(self, path: str, headers: Mapping[str, str]) -> Body:
         """Answer one request of a page."""
         with self._lock:
-            seat = self._seats.get(headers.get(KEY_HEADER, ""))
-        if seat is None:
+            page = self._pages.get(headers.get(KEY_HEADER, ""))
+        if page is None:
             return _told(HTTPStatus.UNAUTHORIZED, {"text": "This page is not known; load it again"})
         asked = urlsplit(path)
         given = {key: values[0] for key, values in parse_qs(asked.query).items()}
         try:
-            return await asyncio.to_thread(_answer, seat, asked.path.removeprefix(PATH), given)
+            return await asyncio.to_thread(_answer, page, asked.path.removeprefix(PATH), given)
         except InvalidInputError as error:
             return _told(HTTPStatus.NOT_FOUND, {"text": str(error)})
         except RefusedError as error:
@@ -77,26 +77,26 @@ class PageSeats:
             return _told(HTTPStatus.SERVICE_UNAVAILABLE, {"text": str(error)})
 
 
-def _answer(seat: PageSeat, what: str, given: Mapping[str, str]) -> Body:
+def _answer(page: OpenPage, what: str, given: Mapping[str, str]) -> Body:
     if what == "state":
-        return _told(HTTPStatus.OK, _state(seat))
+        return _told(HTTPStatus.OK, _state(page))
     if what == "acknowledge":
-        return _acknowledge(seat, given)
+        return _acknowledge(page, given)
     if what == "maintenance":
-        return _maintain(seat, given)
+        return _maintain(page, given)
     if what == "tasks":
-        return _tasks(seat)
+        return _tasks(page)
     if what == "picture":
-        return _picture(seat, given)
+        return _picture(page, given)
     raise InvalidInputError(f"A page cannot ask for {what[:40]!r}.", path="path")
 
 
-def _state(seat: PageSeat) -> dict[str, object]:
+def _state(page: OpenPage) -> dict[str, object]:
     """Everything that the bar shows."""
-    records, state = seat.source.records, seat.state()
+    records, state = page.source.records, page.state()
     told: dict[str, object] = {
-        "may_operate": Role.OPERATOR.is_held_by(seat.holder.role),
-        "may_end": Role.ADMIN.is_held_by(seat.holder.role),
+        "may_operate": Role.OPERATOR.is_held_by(page.holder.role),
+        "may_end": Role.ADMIN.is_held_by(page.holder.role),
         "modules": [
             {
                 "kind": row.kind,
@@ -118,21 +118,21 @@ def _state(seat: PageSeat) -> dict[str, object]:
     return told
 
 
-def _acknowledge(seat: PageSeat, given: Mapping[str, str]) -> Body:
-    records = seat.source.records
-    _check_operator(seat, "Acknowledging an alarm")
+def _acknowledge(page: OpenPage, given: Mapping[str, str]) -> Body:
+    records = page.source.records
+    _check_operator(page, "Acknowledging an alarm")
     number = given.get("alarm", "")
     if records is None or not number.isdecimal():
         raise InvalidInputError(f"There is no alarm {number[:20]!r}.", path="alarm")
-    alarm = records.alarms.acknowledge(int(number), seat.holder.who, seat.holder.role)
+    alarm = records.alarms.acknowledge(int(number), page.holder.who, page.holder.role)
     return _told(HTTPStatus.OK, asdict(alarm))
 
 
-def _maintain(seat: PageSeat, given: Mapping[str, str]) -> Body:
-    records = seat.source.records
+def _maintain(page: OpenPage, given: Mapping[str, str]) -> Body:
+    records = page.source.records
     if records is None or records.maintenance is None:
         raise NotReadyError("This server has no maintenance mode.")
-    who, role = seat.holder.who, seat.holder.role
+    who, role = page.holder.who, page.holder.role
     if "begin" in given:
         records.maintenance.begin(who, role, given["begin"][:_MOST_TEXT])
     elif "end" in given:
@@ -140,8 +140,8 @@ def _maintain(seat: PageSeat, given: Mapping[str, str]) -> Body:
     return _told(HTTPStatus.OK, {"maintenance": str(records.maintenance.state or "")})
 
 
-def _tasks(seat: PageSeat) -> Body:
-    records = seat.source.records
+def _tasks(page: OpenPage) -> Body:
+    records = page.source.records
     if records is None or records.tasks is None:
         raise NotReadyError("This server keeps no tasks.")
     found = records.tasks.newest()
@@ -149,8 +149,8 @@ def _tasks(seat: PageSeat) -> Body:
     return _told(HTTPStatus.OK, {"tasks": [asdict(task) for task in found], "rates": rates})
 
 
-def _picture(seat: PageSeat, given: Mapping[str, str]) -> Body:
-    records = seat.source.records
+def _picture(page: OpenPage, given: Mapping[str, str]) -> Body:
+    records = page.source.records
     data = None
     if records is not None and records.tasks is not None:
         data = records.tasks.picture(given.get("task", ""), is_end=given.get("end") == "1")
@@ -159,11 +159,11 @@ def _picture(seat: PageSeat, given: Mapping[str, str]) -> Body:
     return HTTPStatus.OK, data, "image/jpeg"
 
 
-def _check_operator(seat: PageSeat, what: str) -> None:
-    if not Role.OPERATOR.is_held_by(seat.holder.role):
+def _check_operator(page: OpenPage, what: str) -> None:
+    if not Role.OPERATOR.is_held_by(page.holder.role):
         raise RefusedError(
-            f"{what} needs the role '{Role.OPERATOR}'; {seat.holder.who} has "
-            f"{seat.holder.role or 'none'!r}.",
+            f"{what} needs the role '{Role.OPERATOR}'; {page.holder.who} has "
+            f"{page.holder.role or 'none'!r}.",
             rule="role",
         )
 

@@ -22,14 +22,14 @@ from websockets.http11 import Request, Response
 
 from rn_standard.http.listener import BACKLOG, BoundedListener
 from rn_view.page import stop_bar
-from rn_view.page.status_strip import with_records
+from rn_view.page.status_strip import with_status_strip
 from rn_view.sources.source import Source
-from rn_view.teleoperation.sample_socket import LeadSeats
+from rn_view.teleoperation.sample_socket import LeadSockets
 from rn_view.teleoperation.slider_goal import LEAD_PATH
-from rn_view.teleoperation.stick_panel import with_lead
+from rn_view.teleoperation.stick_panel import with_stick_panel
 from rn_view.web import page_requests
 from rn_view.web.access import ViewAccess
-from rn_view.web.page_requests import PageSeats
+from rn_view.web.page_requests import OpenPages
 from roboneuron import RoboNeuronError
 
 log = logging.getLogger(__name__)
@@ -48,7 +48,7 @@ _silent.setLevel(logging.CRITICAL)
 """Of websockets, which logs a traceback for each client that sends no request."""
 
 
-class Web:
+class RequestHandler:
     """Answers requests; on viser's event loop.
 
     Args:
@@ -67,16 +67,16 @@ class Web:
         who: Callable[[Request, str], str],
         visited: Callable[[Request], str],
         goal: Callable[[str], dict[str, float] | None],
-        pages: PageSeats,
+        pages: OpenPages,
     ) -> None:
         self._admission = admission
         self._sources = sources
         self._who = who
         self._visited = visited
         self._goal = goal
-        self._seats = pages
+        self._open_pages = pages
         self._base = stop_bar.base_page()
-        self._pages: dict[tuple[str, ...], tuple[bytes, bytes]] = {}
+        self._page_bytes: dict[tuple[str, ...], tuple[bytes, bytes]] = {}
 
     async def answer(self, connection: ServerConnection, request: Request) -> Response | None:
         """The answer to a request; None for a websocket and for requests that viser answers."""
@@ -96,7 +96,7 @@ class Web:
             latched = {name: source.is_latched() for name, source in self._robots().items()}
             return _json(HTTPStatus.OK, {"latched": latched})
         if asked.path.startswith(page_requests.PATH):
-            status, body, kind = await self._seats.answer(request.path, request.headers)
+            status, body, kind = await self._open_pages.answer(request.path, request.headers)
             return _answer(status, body, {"Content-Type": kind, "Cache-Control": "no-store"})
         if asked.path == LEAD_PATH:
             return self._lead(request, parse_qs(asked.query).get("robot", [""])[0])
@@ -111,7 +111,7 @@ class Web:
 
     def _page(self, request: Request) -> Response:
         names = tuple(self._sources())
-        if names not in self._pages:
+        if names not in self._page_bytes:
             recorded = [
                 source.label for source in self._sources().values() if source.playback is not None
             ]
@@ -123,9 +123,9 @@ class Web:
                     [name or one.config().namespace for name, one in self._robots().items()],
                 )
             )
-            page = page if recorded else with_records(with_lead(page))
-            self._pages[names] = page.encode(), gzip.compress(page.encode())
-        plain, packed = self._pages[names]
+            page = page if recorded else with_status_strip(with_stick_panel(page))
+            self._page_bytes[names] = page.encode(), gzip.compress(page.encode())
+        plain, packed = self._page_bytes[names]
         headers = {**_PAGE_HEADERS, "Set-Cookie": self._visited(request)}
         if "gzip" in request.headers.get("Accept-Encoding", ""):
             return _answer(HTTPStatus.OK, packed, {**headers, "Content-Encoding": "gzip"})
@@ -166,9 +166,11 @@ class Web:
 
 
 @contextmanager
-def served_by(listener: BoundedListener, web: Web, seats: LeadSeats) -> Iterator[None]:
-    """Within the block, viser's websocket server listens on this socket and asks `web` and `seats`
-    first.
+def served_by(
+    listener: BoundedListener, web: RequestHandler, lead_sockets: LeadSockets
+) -> Iterator[None]:
+    """Within the block, viser's websocket server listens on this socket. `web` gets each request
+    first and `lead_sockets` each websocket; viser handles the rest.
 
     viser has no option to pass a socket, a time-out or a request handler on to websockets.
     """
@@ -183,9 +185,9 @@ def served_by(listener: BoundedListener, web: Web, seats: LeadSeats) -> Iterator
             return viser_says
 
         async def handle(connection: ServerConnection) -> None:
-            if seats.is_asked(connection):
+            if lead_sockets.is_asked(connection):
                 listener.prove(connection.remote_address[:2])
-                await seats.serve(connection)
+                await lead_sockets.serve(connection)
             else:
                 await handler(connection)
 

@@ -18,15 +18,15 @@ from rn_standard.http.addresses import bind
 from rn_standard.http.listener import BoundedListener, other_bounds
 from rn_view.options import ViewOptions
 from rn_view.page.client_page import Page
-from rn_view.page.robot_pages import Showing
+from rn_view.page.robot_pages import RobotPages
 from rn_view.sources.measured_topics import MeasuredTopics
 from rn_view.sources.operator_calls import Operator
 from rn_view.sources.source import Source
-from rn_view.teleoperation.sample_socket import LeadSeats
-from rn_view.teleoperation.slider_goal import RENEWED_S, PageLead
+from rn_view.teleoperation.sample_socket import LeadSockets
+from rn_view.teleoperation.slider_goal import RENEWED_S, SliderGoal
 from rn_view.web.access import ViewAccess
-from rn_view.web.page_requests import PageSeats
-from rn_view.web.request_handler import Web, served_by
+from rn_view.web.page_requests import OpenPages
+from rn_view.web.request_handler import RequestHandler, served_by
 from rn_view.web.visitors import Visitors
 
 log = logging.getLogger(__name__)
@@ -43,7 +43,7 @@ newest.
 """
 
 
-class _ViewServer(viser.ViserServer):
+class _ViserServer(viser.ViserServer):
     """Opens no tunnel: in viser any page may ask for a public address of the server."""
 
     def request_share_url(self, verbose: bool = True) -> str | None:
@@ -51,7 +51,7 @@ class _ViewServer(viser.ViserServer):
         return None
 
 
-class Viewer:
+class ViewServer:
     """Serves pages from `open` to `close`.
 
     Args:
@@ -76,23 +76,23 @@ class Viewer:
         self._operators = {} if operator is None else dict.fromkeys(self._sources, operator)
         self._lock = threading.RLock()
         self._pages: dict[int, Page] = {}
-        self._server: _ViewServer | None = None
+        self._server: _ViserServer | None = None
         self._listener: BoundedListener | None = None
         self._visitors = Visitors()
-        self._showings = {
-            name: Showing(one, options.image_hz, self._begin_anew)
+        self._robot_pages = {
+            name: RobotPages(one, options.image_hz, self._begin_anew)
             for name, one in self._sources.items()
         }
         self._shown: dict[Page, str] = {}
         self._proofs: set[Future[None]] = set()
-        self._seats, self._page_seats = LeadSeats(), PageSeats()
+        self._lead_sockets, self._open_pages = LeadSockets(), OpenPages()
 
     @property
     def measured(self) -> MeasuredTopics | None:
         """Measurements of the first robot; None while no page shows it, as nothing is subscribed to
         then.
         """
-        return next(iter(self._showings.values())).measured
+        return next(iter(self._robot_pages.values())).measured
 
     @property
     def url(self) -> str:
@@ -111,21 +111,21 @@ class Viewer:
         Raises:
             ConfigurationError: as `check_port`.
         """
-        web = Web(
+        web = RequestHandler(
             self._admission,
             lambda: self._sources,
             self._visitors.who,
             self._visitors.cookie,
             self._goal,
-            self._page_seats,
+            self._open_pages,
         )
         bound = bind("view", self._options.host, self._options.port, self._admission.tokens)
         self._listener = BoundedListener(bound, other_bounds(_CONNECTIONS))
         with (
-            served_by(self._listener, web, self._seats),
+            served_by(self._listener, web, self._lead_sockets),
             contextlib.redirect_stdout(io.StringIO()),
         ):  # a banner; stdout may be a protocol
-            self._server = _ViewServer(
+            self._server = _ViserServer(
                 host=self._options.host, port=self._options.port, label=TITLE, verbose=False
             )
         _set_theme(self._server.gui, is_dark=False)
@@ -134,8 +134,8 @@ class Viewer:
         self._server._websock_server.on_client_connect(self._check_connection)
         self._server.on_client_connect(self._on_connect)
         self._server.on_client_disconnect(self._on_disconnect)
-        for showing in self._showings.values():
-            showing.start()
+        for pages in self._robot_pages.values():
+            pages.start()
         log.info("The live view is at %s.", self.url)
 
     def join(self, name: str, source: Source, operator: Operator) -> None:
@@ -143,16 +143,16 @@ class Viewer:
         with self._lock:
             self._sources = {**self._sources, name: source}
             self._operators = {**self._operators, name: operator}
-            showing = Showing(source, self._options.image_hz, self._begin_anew)
-            self._showings = {**self._showings, name: showing}
+            pages = RobotPages(source, self._options.image_hz, self._begin_anew)
+            self._robot_pages = {**self._robot_pages, name: pages}
         if self._server is not None:
-            showing.start()
+            pages.start()
             self._begin_anew()
 
     def close(self) -> None:
         """Stop serving and close all pages; idempotent."""
-        for showing in self._showings.values():
-            showing.close()
+        for pages in self._robot_pages.values():
+            pages.close()
         for proof in tuple(self._proofs):
             proof.cancel()
         server, self._server = self._server, None
@@ -164,8 +164,8 @@ class Viewer:
         with self._lock:
             self._pages.clear()
             self._shown.clear()
-        for showing in self._showings.values():  # again: a page may have come meanwhile
-            showing.close()
+        for pages in self._robot_pages.values():  # again: a page may have come meanwhile
+            pages.close()
 
     def _begin_anew(self) -> None:
         """Disconnect all pages, so that they reload: another robot runs."""
@@ -206,8 +206,8 @@ class Viewer:
             self._admission.tokens.find,
             self._choose,
             self._on_lead,
-            self._seats,
-            self._page_seats,
+            self._lead_sockets,
+            self._open_pages,
         )
         page.holder = self._admission.visitor(client.client_id)
         page.width_px = self._visitors.width_px(client.client_id) or client.camera.image_width
@@ -216,7 +216,7 @@ class Viewer:
         with self._lock:
             self._pages[client.client_id] = page
             self._shown[page] = page.robot
-            self._showings[page.robot].add(page)
+            self._robot_pages[page.robot].add(page)
             waiting = [number for number, other in self._pages.items() if not other.is_admitted]
         for number in waiting[:-_MOST_WAITING]:
             self._abort(number)
@@ -252,14 +252,14 @@ class Viewer:
             ):
                 page.say_full(self._options.max_viewers)
                 return
-            self._showings[robot].admit(page)
+            self._robot_pages[robot].admit(page)
 
     def _goal(self, robot: str) -> dict[str, float] | None:
         with self._lock:
-            showing = self._showings.get(robot)
-        return None if showing is None else showing.goal()
+            pages = self._robot_pages.get(robot)
+        return None if pages is None else pages.goal()
 
-    def _on_lead(self, page: Page, lead: PageLead, who: object) -> None:
+    def _on_lead(self, page: Page, lead: SliderGoal, who: object) -> None:
         """Keep the lead of a page alive for as long as its browser answers."""
         server = self._server
         loop = None if server is None else server._websock_server._background_event_loop
@@ -269,7 +269,7 @@ class Viewer:
             self._proofs.add(running)
             running.add_done_callback(self._proofs.discard)
 
-    async def _prove(self, number: int, lead: PageLead, who: object) -> None:
+    async def _prove(self, number: int, lead: SliderGoal, who: object) -> None:
         assert self._server is not None
         live = self._server._websock_server._live_connections
         with contextlib.suppress(ConnectionClosed, TimeoutError):
@@ -288,10 +288,10 @@ class Viewer:
             self._shown[page] = robot
             was_admitted = page.is_admitted
             page.change()
-            self._showings[before].remove(page)
-            self._showings[robot].add(page)
+            self._robot_pages[before].remove(page)
+            self._robot_pages[robot].add(page)
             if was_admitted:
-                self._showings[robot].admit(page)
+                self._robot_pages[robot].admit(page)
 
     def _on_disconnect(self, client: viser.ClientHandle) -> None:
         with self._lock:
@@ -299,7 +299,7 @@ class Viewer:
             robot = self._shown.pop(page, None) if page is not None else None
         self._visitors.disconnect(client.client_id)
         if page is not None and robot is not None:
-            self._showings[robot].remove(page)
+            self._robot_pages[robot].remove(page)
             page.leave()
 
 

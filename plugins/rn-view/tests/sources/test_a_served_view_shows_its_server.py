@@ -10,8 +10,8 @@ from urllib.request import urlopen
 
 import pytest
 from page_client import PageClient
+from served_view import Call, attached_view, served_view
 from view_page import wait_until
-from view_server import Call, attached_view, served_view
 
 from roboneuron.estop import ESTOP_FILE
 

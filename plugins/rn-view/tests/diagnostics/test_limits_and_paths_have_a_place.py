@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rn_view.diagnostics.active_limits import SHOWN_S, ActingLimits, limit_counts, limit_place
+from rn_view.diagnostics.active_limits import SHOWN_S, ActiveLimits, limit_counts, limit_place
 from rn_view.sources.source import PageState
 from rn_view.visualization.predicted_path import PlannedChunk
 
@@ -48,17 +48,17 @@ def state(reason: str, **counts: int) -> PageState:
 
 
 def test_a_limit_is_shown_while_it_acts_and_not_for_what_was_before() -> None:
-    limits = ActingLimits()
-    first = limits.look(state("old", velocity=7), 10.0)
+    limits = ActiveLimits()
+    first = limits.update(state("old", velocity=7), 10.0)
     assert (first.limits, first.limit) == ((), ""), "how long ago that was is not known"
-    assert limits.look(state("new", velocity=8), 10.2).limits == ("velocity",)
-    later = limits.look(state("new", velocity=8, zone=1), 10.4)
+    assert limits.update(state("new", velocity=8), 10.2).limits == ("velocity",)
+    later = limits.update(state("new", velocity=8, zone=1), 10.4)
     assert (set(later.limits), later.limit) == ({"velocity", "zone"}, "new")
-    assert limits.look(state("new", velocity=8, zone=1), 10.3 + SHOWN_S).limits == ("zone",)
-    assert limits.look(state("new", velocity=8, zone=1), 12.0).limit == ""
-    assert limits.look(state("new", velocity=1), 12.1).limits == (), "control began anew"
-    assert limits.look(state("new", velocity=2), 12.2).limits == ("velocity",)
-    assert limits.look(state("new", velocity=2), 3.0).limits == (), "a recording was rewound"
+    assert limits.update(state("new", velocity=8, zone=1), 10.3 + SHOWN_S).limits == ("zone",)
+    assert limits.update(state("new", velocity=8, zone=1), 12.0).limit == ""
+    assert limits.update(state("new", velocity=1), 12.1).limits == (), "control began anew"
+    assert limits.update(state("new", velocity=2), 12.2).limits == ("velocity",)
+    assert limits.update(state("new", velocity=2), 3.0).limits == (), "a recording was rewound"
 
 
 def test_counters_are_read_from_the_report_of_control() -> None:

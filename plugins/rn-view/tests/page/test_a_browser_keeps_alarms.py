@@ -17,7 +17,7 @@ from rn_standard.tasks.history import TaskHistory
 from rn_view.diagnostics.alarms import AlarmBook
 from rn_view.sources.records import RobotRecords
 from rn_view.tasks.past_tasks import PastTasks
-from rn_view.web.view_server import Viewer
+from rn_view.web.view_server import ViewServer
 from roboneuron.feature import AuditLog
 
 pytestmark = [
@@ -56,7 +56,7 @@ def book(source: FakeSource, tmp_path: Path) -> AlarmBook:
 
 
 def test_an_alarm_is_seen_at_every_size_until_somebody_acknowledges_it_by_keyboard(
-    serve: Callable[..., Viewer], look: Callable[..., Any], book: AlarmBook, tmp_path: Path
+    serve: Callable[..., ViewServer], look: Callable[..., Any], book: AlarmBook, tmp_path: Path
 ) -> None:
     page = look(serve().url)
     opener = page.locator("#rn-alarms-open")
@@ -89,7 +89,7 @@ def test_an_alarm_is_seen_at_every_size_until_somebody_acknowledges_it_by_keyboa
 
 
 def test_a_person_takes_the_robot_out_of_service_and_puts_it_back(
-    serve: Callable[..., Viewer], look: Callable[..., Any], book: AlarmBook, source: FakeSource
+    serve: Callable[..., ViewServer], look: Callable[..., Any], book: AlarmBook, source: FakeSource
 ) -> None:
     page = look(serve().url)
     page.get_by_role("button", name="Maintenance").click()
@@ -103,7 +103,7 @@ def test_a_person_takes_the_robot_out_of_service_and_puts_it_back(
 
 
 def test_past_tasks_are_listed_with_their_pictures_and_rates(
-    serve: Callable[..., Viewer], look: Callable[..., Any], book: AlarmBook, tmp_path: Path
+    serve: Callable[..., ViewServer], look: Callable[..., Any], book: AlarmBook, tmp_path: Path
 ) -> None:
     from PIL import Image
 
@@ -127,7 +127,7 @@ def test_past_tasks_are_listed_with_their_pictures_and_rates(
 
 
 def test_rates_and_the_limit_that_acts_are_seen_at_a_glance(
-    serve: Callable[..., Viewer],
+    serve: Callable[..., ViewServer],
     look: Callable[..., Any],
     source: FakeSource,
 ) -> None:

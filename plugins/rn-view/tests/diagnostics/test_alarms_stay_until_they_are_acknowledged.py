@@ -57,15 +57,15 @@ def test_a_dead_module_is_an_alarm_that_says_what_to_do(kept: Kept) -> None:
 def test_a_report_that_is_late_for_less_than_a_second_is_no_alarm(kept: Kept) -> None:
     kept.rules.on_health("robot", "silent", "")
     kept.now_s += 0.9
-    kept.rules.look()
+    kept.rules.poll()
     kept.rules.on_health("robot", "ok", "")
     kept.now_s += 5.0
-    kept.rules.look()
+    kept.rules.poll()
     assert kept.told() == []
     kept.rules.on_health("robot", "silent", "")
     kept.now_s += 1.0
-    kept.rules.look()
-    kept.rules.look()
+    kept.rules.poll()
+    kept.rules.poll()
     assert kept.told() == [("robot", "silent", 1)]
 
 

@@ -1,8 +1,3 @@
-"""The program of the strip below the stop; see `records_page`."""
-
-from __future__ import annotations
-
-SCRIPT = """
 (() => {
   const el = id => document.getElementById(id), panel = el("rn-records"), body = el("rn-records-body"), said = el("rn-records-say");
   const wait = ms => new Promise(done => setTimeout(done, ms));
@@ -103,7 +98,7 @@ SCRIPT = """
   const taskRow = task => {
     const isGood = task.outcome === "succeeded", isBad = ["failed", "timed_out", "error"].includes(task.outcome);
     const row = make("li", "", isGood ? "good" : isBad ? "bad" : "");
-    row.append(make("strong", (isGood ? "\\u2713 " : isBad ? "\\u2717 " : "") + task.outcome.replace("_", " ") + ": " + task.instruction));
+    row.append(make("strong", (isGood ? "\u2713 " : isBad ? "\u2717 " : "") + task.outcome.replace("_", " ") + ": " + task.instruction));
     const tries = task.attempts > 1 ? ", " + task.attempts + " attempts" : "";
     row.append(make("div", time(task.at_s) + ", " + task.took_s.toFixed(1) + " s" + tries + (task.model ? ", " + task.model : ""), "dim"));
     if (task.reason) row.append(make("div", task.reason));
@@ -169,7 +164,7 @@ SCRIPT = """
       part.append(make("b", name), " " + (one.health !== "ok" ? one.health : [one.rate_hz === null ? "" : one.rate_hz.toFixed(0) + " Hz",
         one.latency_ms === null ? "" : one.latency_ms.toFixed(0) + " ms"].filter(text => text).join(" ")));
       if (isBad) part.append("!");
-      parts.push(part, " \\u00b7 ");
+      parts.push(part, " \u00b7 ");
     }
     place.replaceChildren(...parts.slice(0, -1));
   };
@@ -209,4 +204,3 @@ SCRIPT = """
     .observe(document.getElementById("root"), {childList: true, subtree: true});
   (async () => { for (;;) { await look(); await wait(document.hidden ? 5000 : 1000); } })();
 })();
-"""  # noqa: E501

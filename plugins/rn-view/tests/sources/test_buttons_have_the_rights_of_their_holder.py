@@ -11,7 +11,8 @@ import pytest
 
 from rn_standard.http.plugin import FEATURE as HTTP
 from rn_view.plugin import FEATURE
-from rn_view.sources.server_source import LiveOperator, LiveSource
+from rn_view.sources.server_operator import ServerOperator
+from rn_view.sources.server_source import ServerSource
 from rn_view_attached.source import AttachedSource, ViewNode
 from roboneuron.gate.audit import AuditRecord
 from roboneuron.server.tool import Holder
@@ -27,7 +28,7 @@ def application(application_of):
 
 def press(application, holder, tool):
     """The text that a page shows after its button was pressed."""
-    operator = LiveOperator(application.host)
+    operator = ServerOperator(application.host)
 
     async def call():
         operator.loop = asyncio.get_running_loop()
@@ -50,11 +51,11 @@ def test_no_button_releases_the_emergency_stop(application):
 
 
 def test_a_server_that_serves_nobody_yet_says_so(application):
-    assert LiveOperator(application.host).call(OPERATOR, "stop_all", {}).result(1)
+    assert ServerOperator(application.host).call(OPERATOR, "stop_all", {}).result(1)
 
 
 def test_the_state_and_what_the_gate_refused_are_shown(application):
-    source = LiveSource(application.host)
+    source = ServerSource(application.host)
     assert next((row.kind, row.health) for row in source.snapshot().modules) == ("robot", "stopped")
     application.loop.emergency_stop.file.press(who="ann", reason="too fast")
     assert source.snapshot().is_latched
@@ -65,7 +66,7 @@ def test_the_state_and_what_the_gate_refused_are_shown(application):
     application.host.audit.write(
         AuditRecord(who="a", role="admin", tool="t", endpoint="wheels", verdict="refused")
     )
-    source.look()
+    source.poll()
     assert ["wheels" in event.text for event in source.shown_events.newest(5)] == [True]
 
 

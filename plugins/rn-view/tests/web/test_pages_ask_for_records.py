@@ -14,8 +14,9 @@ from rn_standard.tasks.history import TaskHistory
 from rn_view.diagnostics.alarms import AlarmBook
 from rn_view.sources.records import RobotRecords
 from rn_view.sources.source import PageState
-from rn_view.tasks.past_tasks import PastTasks, success_rates
-from rn_view.web.page_requests import KEY_HEADER, PageSeat, PageSeats
+from rn_view.tasks.past_tasks import PastTasks
+from rn_view.tasks.success_rates import success_rates
+from rn_view.web.page_requests import KEY_HEADER, OpenPage, OpenPages
 from roboneuron import RefusedError
 from roboneuron.feature import AuditLog, Holder
 
@@ -46,17 +47,17 @@ class Asked:
         self.source.records = RobotRecords(
             alarms=self.book, maintenance=Switch(), tasks=PastTasks(folder)
         )
-        self.seats = PageSeats()
+        self.pages = OpenPages()
         self.keys = {
-            role: self.seats.add(
-                PageSeat(Holder(who=f"the {role}", role=role), self.source, self.source.snapshot)
+            role: self.pages.add(
+                OpenPage(Holder(who=f"the {role}", role=role), self.source, self.source.snapshot)
             )
             for role in ("viewer", "operator", "admin")
         }
 
     def ask(self, role: str, path: str) -> tuple[int, Any]:
         headers = {KEY_HEADER: self.keys.get(role, role)}
-        status, body, kind = asyncio.run(self.seats.answer(f"/page/{path}", headers))
+        status, body, kind = asyncio.run(self.pages.answer(f"/page/{path}", headers))
         return int(status), json.loads(body) if kind == "application/json" else body
 
 
@@ -67,7 +68,7 @@ def asked(tmp_path: Path) -> Asked:
 
 def test_a_page_that_is_not_known_or_gone_learns_nothing(asked: Asked) -> None:
     assert asked.ask("somebody", "state")[0] == 401
-    asked.seats.remove(asked.keys["admin"])
+    asked.pages.remove(asked.keys["admin"])
     assert asked.ask("admin", "state")[0] == 401
 
 
@@ -148,6 +149,6 @@ def test_a_page_of_an_unreadable_history_says_so(asked: Asked, tmp_path: Path) -
 
 def test_a_state_names_the_limit_that_acts(asked: Asked) -> None:
     state = PageState(limit="j1 would move at 9.", limits=("velocity",))
-    key = asked.seats.add(PageSeat(Holder(who="x", role="viewer"), asked.source, lambda: state))
+    key = asked.pages.add(OpenPage(Holder(who="x", role="viewer"), asked.source, lambda: state))
     asked.keys["x"] = key
     assert asked.ask("x", "state")[1]["limit"] == "j1 would move at 9."

@@ -13,7 +13,7 @@ from view_page import PIXEL, wait_until
 
 from rn_testing.fakes import fake_registry
 from rn_view.options import ViewOptions
-from rn_view.web.view_server import Viewer
+from rn_view.web.view_server import ViewServer
 from rn_view_recorded.source import RecordedSource
 from roboneuron.config import load_config
 
@@ -25,7 +25,7 @@ def recorded(tmp_path):
     """A page that plays a recording."""
     source = RecordedSource("monday", record(tmp_path), load_config(None), fake_registry())
     options = ViewOptions(port=0)
-    viewer = Viewer(options, source, admission(options), None)
+    viewer = ViewServer(options, source, admission(options), None)
     viewer.open()
     source.open()
     yield source, viewer

@@ -12,7 +12,7 @@ from view_fakes import FakeOperator, FakeSource, admission
 from view_page import wait_until
 
 from rn_view.options import ViewOptions
-from rn_view.web.view_server import Viewer
+from rn_view.web.view_server import ViewServer
 
 pytestmark = [
     pytest.mark.slow,
@@ -76,7 +76,7 @@ def sized(browser: Any) -> Iterator[Callable[..., Any]]:
 
 @pytest.mark.parametrize("size", SIZES, ids=[f"{width}px" for width, _ in SIZES])
 def test_the_stop_is_large_and_on_top_at_every_width(
-    serve: Callable[..., Viewer], sized: Callable[..., Any], size: tuple[int, int]
+    serve: Callable[..., ViewServer], sized: Callable[..., Any], size: tuple[int, int]
 ) -> None:
     page = sized(serve().url, size)
     button = page.get_by_role("button", name="EMERGENCY STOP")
@@ -95,7 +95,7 @@ def test_the_stop_is_large_and_on_top_at_every_width(
 
 
 def test_the_key_presses_it_from_a_field_too(
-    serve: Callable[..., Viewer], sized: Callable[..., Any], source: FakeSource
+    serve: Callable[..., ViewServer], sized: Callable[..., Any], source: FakeSource
 ) -> None:
     page = sized(serve().url, (768, 600))
     page.get_by_role("textbox", name="Instruction").fill("wave")
@@ -107,7 +107,7 @@ def test_the_key_presses_it_from_a_field_too(
 
 
 def test_it_is_the_first_control_and_works_without_a_websocket(
-    serve: Callable[..., Viewer], sized: Callable[..., Any], source: FakeSource
+    serve: Callable[..., ViewServer], sized: Callable[..., Any], source: FakeSource
 ) -> None:
     viewer = serve()
     page = sized("about:blank", (600, 500))
@@ -122,7 +122,7 @@ def test_it_is_the_first_control_and_works_without_a_websocket(
 def test_of_two_robots_each_has_a_stop_beside_the_one_of_all(sized: Callable[..., Any]) -> None:
     sources = {"left": FakeSource(), "right": FakeSource()}
     options = ViewOptions(enabled=True, port=0)
-    viewer = Viewer(options, sources, admission(options), FakeOperator())
+    viewer = ViewServer(options, sources, admission(options), FakeOperator())
     viewer.open()
     try:
         page = sized(viewer.url, (768, 600))

@@ -11,7 +11,7 @@ from mcp import Client, types
 from mcp.server import Server
 
 from rn_view.diagnostics.event_list import AuditReader, EventList, ToolCalls, add_record
-from rn_view.sources.source import ModuleRow, PageState, said_of
+from rn_view.sources.source import ModuleRow, PageState, note_text
 from rn_view.visualization.markup import event_rows, modules_table, stop_text
 
 
@@ -123,10 +123,10 @@ def test_where_the_time_of_a_remote_policy_goes_is_said():
     parts = {"round_trip": "81.4", "link": "60.2", "queue": "0.7", "model": "20.5"}
     metrics = {f"backend.shared.{part}_ms": value for part, value in parts.items()}
     said = "round trip 81 ms: link 60, queue 1, model 20"
-    assert said_of("", metrics) == said
-    assert said_of("plays", metrics) == f"plays; {said}"
-    assert said_of("plays", {}) == "plays"
-    assert said_of("plays", metrics | {"backend.shared.link_ms": "?"}) == "plays"
+    assert note_text("", metrics) == said
+    assert note_text("plays", metrics) == f"plays; {said}"
+    assert note_text("plays", {}) == "plays"
+    assert note_text("plays", metrics | {"backend.shared.link_ms": "?"}) == "plays"
 
 
 def test_what_somebody_said_never_becomes_html():

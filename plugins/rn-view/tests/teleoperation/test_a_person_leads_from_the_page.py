@@ -16,7 +16,7 @@ from page_client import PageClient
 from view_fakes import HOME, joints, profile
 from view_page import wait_until
 
-from rn_view.teleoperation.slider_goal import LEAD_PATH, RENEWED_S, PageLead
+from rn_view.teleoperation.slider_goal import LEAD_PATH, RENEWED_S, SliderGoal
 from roboneuron import NotReadyError, RefusedError
 
 pytestmark = [pytest.mark.timeout(120), pytest.mark.filterwarnings("default:Queued a:UserWarning")]
@@ -51,9 +51,9 @@ def clock() -> Clock:
 
 
 @pytest.fixture
-def lead(clock: Clock) -> PageLead:
+def lead(clock: Clock) -> SliderGoal:
     """The lead of an arm whose joint speeds are limited to 2 rad/s."""
-    return PageLead(profile(), clock)
+    return SliderGoal(profile(), clock)
 
 
 def ask(url: str, robot: str = "twolink", **headers: str) -> tuple[int, dict]:
@@ -67,7 +67,7 @@ def ask(url: str, robot: str = "twolink", **headers: str) -> tuple[int, dict]:
 
 
 def test_the_goal_starts_at_the_arm_and_moves_at_a_quarter_of_its_speed(
-    lead: PageLead, clock: Clock
+    lead: SliderGoal, clock: Clock
 ) -> None:
     assert lead.goal(HOME) is None
     assert lead.begin("page", HOME) == HOME
@@ -83,7 +83,7 @@ def test_the_goal_starts_at_the_arm_and_moves_at_a_quarter_of_its_speed(
         measured = goal
 
 
-def test_the_goal_stays_near_an_arm_that_is_held_back(lead: PageLead, clock: Clock) -> None:
+def test_the_goal_stays_near_an_arm_that_is_held_back(lead: SliderGoal, clock: Clock) -> None:
     lead.begin("page", HOME)
     lead.aim("page", "turn", -9.0)
     for _ in range(100):
@@ -100,7 +100,7 @@ def test_the_goal_stays_near_an_arm_that_is_held_back(lead: PageLead, clock: Clo
     assert goal["turn"] == -2.0
 
 
-def test_a_pause_in_asking_makes_no_jump(lead: PageLead, clock: Clock) -> None:
+def test_a_pause_in_asking_makes_no_jump(lead: SliderGoal, clock: Clock) -> None:
     lead.begin("page", HOME)
     lead.aim("page", "turn", 2.0)
     clock.now_s += RENEWED_S - 0.01
@@ -109,7 +109,7 @@ def test_a_pause_in_asking_makes_no_jump(lead: PageLead, clock: Clock) -> None:
     assert goal["turn"] - HOME["turn"] == pytest.approx(0.25 * 2.0 * 0.1)
 
 
-def test_one_page_leads_until_it_ends_or_is_not_there(lead: PageLead, clock: Clock) -> None:
+def test_one_page_leads_until_it_ends_or_is_not_there(lead: SliderGoal, clock: Clock) -> None:
     lead.begin("one", HOME)
     with pytest.raises(RefusedError, match="Another page leads this robot"):
         lead.begin("two", HOME)
@@ -125,7 +125,7 @@ def test_one_page_leads_until_it_ends_or_is_not_there(lead: PageLead, clock: Clo
     assert lead.goal(HOME) is None
 
 
-def test_a_joint_that_is_not_measured_is_named(lead: PageLead) -> None:
+def test_a_joint_that_is_not_measured_is_named(lead: SliderGoal) -> None:
     with pytest.raises(NotReadyError, match="does not report lift"):
         lead.begin("page", {"turn": 0.0})
 
@@ -163,7 +163,7 @@ def test_the_sliders_of_a_page_are_served_while_it_is_open(serve, source) -> Non
 def test_a_page_leads_on_while_its_browser_answers_and_not_after(serve, source) -> None:
     url = serve().url
     with subprocess.Popen(
-        [sys.executable, "-c", PAGE, str(Path(__file__).parent), url],
+        [sys.executable, "-c", PAGE, str(Path(__file__).parents[1]), url],
         stdout=subprocess.PIPE,
         text=True,
     ) as process:

@@ -18,7 +18,7 @@ from rn_standard.tasks.history import TaskHistory
 from rn_view.diagnostics.alarms import AlarmBook
 from rn_view.sources.records import RobotRecords
 from rn_view.tasks.past_tasks import PastTasks
-from rn_view.web.view_server import Viewer
+from rn_view.web.view_server import ViewServer
 from roboneuron.feature import AuditLog
 
 pytestmark = [
@@ -37,7 +37,7 @@ _MOST_TABS = 150
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_everything_can_be_read_and_reached(
-    serve: Callable[..., Viewer],
+    serve: Callable[..., ViewServer],
     look: Callable[..., Any],
     source: FakeSource,
     tmp_path: Path,

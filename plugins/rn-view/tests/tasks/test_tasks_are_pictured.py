@@ -13,8 +13,9 @@ import pytest
 from view_fakes import picture
 
 from rn_standard.tasks.history import TaskHistory
-from rn_view.tasks import past_tasks
-from rn_view.tasks.past_tasks import PastTasks, TaskPictures
+from rn_view.tasks import past_tasks, task_pictures
+from rn_view.tasks.past_tasks import PastTasks
+from rn_view.tasks.task_pictures import TaskPictures
 from roboneuron import NotReadyError
 
 pytestmark = pytest.mark.ros
@@ -86,7 +87,7 @@ def test_a_call_that_is_no_task_leaves_the_pictures_of_the_one_before(cell: Cell
 def test_a_camera_that_is_silent_or_cannot_be_asked_leaves_a_task_without(
     cell: Cell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(past_tasks, "_PICTURE_S", 0.05)
+    monkeypatch.setattr(task_pictures, "_PICTURE_S", 0.05)
     cell.run("pick up", ends_with=None)
 
     def refuse(on_image: Callable[[Any], None]) -> Callable[[], None]:

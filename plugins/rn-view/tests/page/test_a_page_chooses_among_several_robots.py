@@ -14,7 +14,7 @@ from view_page import wait_until
 
 from rn_view.options import ViewOptions
 from rn_view.sources.source import ModuleRow
-from rn_view.web.view_server import Viewer
+from rn_view.web.view_server import ViewServer
 
 pytestmark = pytest.mark.filterwarnings("default:Queued a:UserWarning")
 """viser says so when a page is closed while it is being filled."""
@@ -37,7 +37,7 @@ def look(sources: dict[str, FakeSource]) -> Iterator[Callable[..., PageClient]]:
     def open_page(*tokens: tuple[str, str]) -> PageClient:
         if not viewers:
             options = ViewOptions(enabled=True, port=0)
-            viewers.append(Viewer(options, sources, admission(options, *tokens), None))
+            viewers.append(ViewServer(options, sources, admission(options, *tokens), None))
             viewers[0].open()
         pages.append(PageClient(viewers[0].url))
         wait_until(lambda: "Robot" in pages[-1].labels)
@@ -90,7 +90,7 @@ def test_the_large_stop_is_of_all_robots_and_each_has_one(
 def test_a_robot_that_joins_is_on_the_page_of_the_others(operator: FakeOperator) -> None:
     options = ViewOptions(enabled=True, port=0)
     first, second = FakeSource(), FakeSource()
-    viewer = Viewer(options, {"left": first}, admission(options), operator)
+    viewer = ViewServer(options, {"left": first}, admission(options), operator)
     viewer.open()
     pages = [PageClient(viewer.url)]
     try:
@@ -112,7 +112,7 @@ def test_a_robot_that_joins_is_on_the_page_of_the_others(operator: FakeOperator)
         viewer.close()
 
 
-def test_one_robot_leaves_no_choice(serve: Callable[..., Viewer]) -> None:
+def test_one_robot_leaves_no_choice(serve: Callable[..., ViewServer]) -> None:
     page = PageClient(serve().url)
     wait_until(lambda: "lift the" in page.text)
     assert "Robot" not in page.labels
