@@ -1,4 +1,4 @@
-"""Which limit acts on the commands now, and where: at a joint, at a zone, or at the TCP."""
+"""Limits that act on the commands now, and their place: a joint, a zone, or the TCP."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from dataclasses import dataclass, replace
 from rn_view.sources.source import PageState
 
 SHOWN_S = 0.8
-"""A limit is shown for so long after it acted: status reports come five times a second."""
+"""Time for which a limit is shown after it acted; status reports come five times a second."""
 _COUNTER = "limited."
 _OF_BOX = ("workspace", "height")
 
 
 def limit_counts(metrics: Mapping[str, str]) -> dict[str, int]:
-    """How often each limit acted since control started, as it reports it."""
+    """Number of times each limit has acted since control started, from its metrics."""
     return {
         key.removeprefix(_COUNTER): int(value)
         for key, value in metrics.items()
@@ -24,7 +24,7 @@ def limit_counts(metrics: Mapping[str, str]) -> dict[str, int]:
 
 
 class ActiveLimits:
-    """Filter for the states of one robot. For one thread."""
+    """Adds the limits that act now to the states of one robot. For one thread."""
 
     def __init__(self) -> None:
         self._counts: Mapping[str, int] | None = None
@@ -32,9 +32,9 @@ class ActiveLimits:
         self._reason = ""
 
     def update(self, state: PageState, now_s: float) -> PageState:
-        """The state with the limits that act at `now_s` [s], a time that may jump back."""
+        """Return the state with the limits that act at `now_s` [s]. The time may jump back."""
         before, self._counts = self._counts, state.limit_counts
-        # not at the first look: how long ago it acted is not known
+        # none in the first state: when a counted limit acted is unknown
         before = state.limit_counts if before is None else before
         for name, count in state.limit_counts.items():
             if count > before.get(name, 0):
@@ -52,10 +52,10 @@ class LimitPlace:
     """Where a limit acts.
 
     Attributes:
-        joints: names of the joints that it names.
-        zones: names of zones or bodies that it names.
-        box: the workspace, or its height.
-        tcp: the TCP, and nothing nearer is named.
+        joints: joints named in control's message.
+        zones: zones or obstacles named in it.
+        box: the limit is the workspace or its height.
+        tcp: show it at the TCP, because no other place is known.
     """
 
     joints: tuple[str, ...] = ()
@@ -70,9 +70,9 @@ def limit_place(
     """Where these limits act.
 
     Args:
-        limits: that act.
-        reason: control's sentence for the last of them, which names joint or zone.
-        joints: of the robot.
+        limits: names of the limits that act.
+        reason: control's message about the last of them; may name a joint or a zone.
+        joints: names of the robot's arm joints.
         zones: names of zones and obstacles.
     """
     named, places = _named(joints, reason), _named(zones, reason)
@@ -82,7 +82,7 @@ def limit_place(
 
 
 def _named(names: Sequence[str], reason: str) -> tuple[str, ...]:
-    """Those of the names that a sentence contains; not "table" in "table edge" if there is one."""
+    """Names found in a message. "table edge" does not count as "table" if both are names."""
     found = set()
     for name in sorted(names, key=len, reverse=True):
         reason, count = re.subn(rf"(?<!\w){re.escape(name)}(?!\w)", "", reason)

@@ -1,4 +1,4 @@
-"""What raises an alarm: faults of modules, stops, limits and holds, and a fallback policy."""
+"""Rules that raise alarms: module faults, emergency stops, limits, holds, a fallback policy."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from roboneuron.feature import EXPLANATIONS, FAULTS
 
 STOP = "emergency stop"
 _ADVICE = {
-    "silent": "If it lasts: stop the module and start it again. The machine may be overloaded.",
+    "silent": "If it lasts, stop the module and start it again. The machine may be overloaded.",
     "stuck": "Stop the module and start it again.",
-    "stalled": "Look at what it waits for (table of modules); stop and start it again.",
-    "exited": "Look at its log (roboneuron logs), then start it again.",
-    "failing": "Do what the message says; the module goes on once the cause is gone.",
+    "stalled": "See what it waits for (table of modules), then stop it and start it again.",
+    "exited": "Read its log (roboneuron logs), then start it again.",
+    "failing": "Do what the message says. The module continues once the cause is gone.",
 }
 _OF_LIMITS = {
-    "scaled": "Nothing has stopped. If it repeats: slow the policy down, or move the target.",
-    "held": "The arm holds at its place. Look at what the policy asks for, and give it anew.",
-    "refused": "The command was not sent. Look at what the policy asks for.",
+    "scaled": "Nothing has stopped. If it repeats, slow the policy down or move the target.",
+    "held": "The arm holds its position. Check the actions, then give the instruction again.",
+    "refused": "The command was not sent. Check the actions of the policy.",
 }
-_LOOK = "Look at the robot. A person releases the stop: roboneuron estop --reset."
+_LOOK = "Check the robot. Then a person releases the stop: roboneuron estop --reset."
 
 
 class AlarmRules:
-    """Turns what happens into alarms; usable from any thread.
+    """Raises alarms from events; usable from any thread.
 
     Args:
-        book: where they go.
+        book: stores the alarms.
         clock: monotonic [s].
     """
 
@@ -42,8 +42,8 @@ class AlarmRules:
         self._fallbacks = 0
 
     def on_health(self, module: str, health: str, why: str, hint: str = "") -> None:
-        """The health of a module changed. "silent" counts once it has lasted for a second: on a
-        busy machine a report may be late.
+        """Handle a change of health. "silent" raises an alarm once it has lasted for a second,
+        because reports may be late on a busy machine.
         """
         with self._lock:
             was_silent = self._silent.pop(module, None)
@@ -60,7 +60,9 @@ class AlarmRules:
             self._book.end(module)
 
     def poll(self) -> None:
-        """Raise what has lasted long enough; a few times a second."""
+        """Raise alarms for modules that have been silent long enough. Call it a few times a
+        second.
+        """
         now_s = self._clock()
         with self._lock:
             due = {
@@ -73,13 +75,13 @@ class AlarmRules:
             self._book.add(module, "silent", cause, _ADVICE["silent"], at_s=at_s)
 
     def on_fault(self, module: str, what: str, facts: Mapping[str, object]) -> None:
-        """Listener of `Events.fault`, whose faults are no module's health."""
+        """Listener of `Events.fault`: faults that are not the health of a module."""
         cause = str(facts.get("explanation", "")) or what
-        self._book.add(module, what, cause, "See the server's log and What happened.")
+        self._book.add(module, what, cause, "See the server's log and the list 'What happened'.")
 
     def on_record(self, record: Mapping[str, Any]) -> None:
-        """A record of the audit, also of other processes; each counts once, also after a
-        restart.
+        """Handle an audit record, also one of another process. Each counts once, also across
+        restarts.
         """
         at_ns = int(record.get("time_ns", 0))
         if at_ns <= self._book.seen_ns:
@@ -89,7 +91,7 @@ class AlarmRules:
         reason, rule = str(record.get("reason", "")), str(record.get("rule", ""))
         if verdict in ("latched", "restored"):
             cause = f"{who}: {reason}".rstrip(": ")
-            word = "pressed" if verdict == "latched" else "its file vanished, written again"
+            word = "pressed" if verdict == "latched" else "its file was deleted; written again"
             self._book.add(STOP, word, cause, _LOOK, at_s=at_s)
         elif record.get("tool") == "reset_emergency_stop" and verdict == "allowed":
             self._book.end(STOP, at_s)
@@ -105,7 +107,7 @@ class AlarmRules:
             )
 
     def on_metrics(self, metrics: Mapping[str, str]) -> None:
-        """What the policy's module reports: of two policies the second may have taken over."""
+        """Handle metrics of the inference module: its fallback policy may have taken over."""
         try:
             count = int(metrics.get("fallback.count", 0))
         except ValueError:
@@ -115,8 +117,8 @@ class AlarmRules:
             self._book.add(
                 "inference",
                 "fallback",
-                f"{acting or 'The second policy'} acts: {reason or 'the first was late'}",
-                "Look at the machine of the first policy and at its link; it comes back by itself.",
+                f"{acting or 'The second policy'} is in use: {reason or 'the first was late'}",
+                "Check the first policy's machine and network. It takes over again by itself.",
                 is_warning=True,
             )
         self._fallbacks = count

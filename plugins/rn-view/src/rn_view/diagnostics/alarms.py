@@ -1,4 +1,4 @@
-"""Alarms: what went wrong, kept until a person acknowledges it, also across restarts.
+"""Alarms, kept until a person acknowledges them, also across restarts of the server.
 
 Source of the terms (alarm, acknowledge, return to normal): ISA-18.2 / IEC 62682.
 """
@@ -20,25 +20,25 @@ from roboneuron.feature import AuditLog, AuditRecord
 log = logging.getLogger(__name__)
 FILE_NAME = "alarms.json"
 KEPT = 200
-"""Most alarms; of more the oldest acknowledged one gives way, or the oldest of all."""
+"""Maximum number. Beyond it the oldest acknowledged alarm is deleted, or else the oldest."""
 _MOST_TEXT = 300
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Alarm:
-    """One thing that went wrong, once or several times until it was acknowledged.
+    """One alarm. It counts repeated occurrences until it is acknowledged.
 
     Attributes:
-        number: unique, grows.
+        number: unique; increases.
         source: module, or "emergency stop", "server".
-        what: a word or two, such as "silent" or "limit: zone".
-        cause: a sentence.
+        what: its kind, such as "silent" or "limit: zone".
+        cause: what happened, as a sentence.
         advice: what a person can do.
-        is_warning: nothing has stopped; it is seen less loudly.
+        is_warning: nothing has stopped; shown less prominently.
         first_s, last_s: wall-clock times of the first and the newest occurrence [s].
-        count: how often.
-        over_s: when it returned to normal [s]; 0 while it lasts, and for what only occurs.
-        acknowledged_by, acknowledged_s: who has seen it, and when [s]; empty and 0 before.
+        count: number of occurrences.
+        over_s: when it returned to normal [s]; 0 while it lasts, and for momentary events.
+        acknowledged_by, acknowledged_s: who acknowledged it, and when [s]; empty and 0 before.
     """
 
     number: int
@@ -56,7 +56,7 @@ class Alarm:
 
     @property
     def is_open(self) -> bool:
-        """Whether nobody has acknowledged it."""
+        """Whether it has not been acknowledged yet."""
         return not self.acknowledged_by
 
 
@@ -64,10 +64,10 @@ class AlarmBook:
     """The alarms of one robot; usable from any thread.
 
     Args:
-        directory: state directory; `alarms.json` is in it.
+        directory: state directory, which holds `alarms.json`.
         audit: gets a record of each acknowledgement.
         clock: wall clock [s].
-        kept: most alarms.
+        kept: maximum number of alarms.
     """
 
     def __init__(
@@ -83,7 +83,7 @@ class AlarmBook:
         self._is_changed = False
         self._failure = ""
         self.seen_ns = 0
-        """Time of the newest audit record that was looked at: older ones raise no alarm again."""
+        """Time of the newest audit record handled [ns]. Older records raise no alarm again."""
         self.alarms: dict[int, Alarm] = {}
         """By number, oldest first."""
         self._read()
@@ -98,9 +98,7 @@ class AlarmBook:
         is_warning: bool = False,
         at_s: float | None = None,
     ) -> Alarm:
-        """Raise an alarm, or count it with the one of the same source and kind that nobody has
-        acknowledged.
-        """
+        """Raise an alarm. If an open one has the same source and kind, count it there instead."""
         at_s = self._clock() if at_s is None else at_s
         cause = cause if len(cause) <= _MOST_TEXT else f"{cause[: _MOST_TEXT - 4]} ..."
         with self._lock:
@@ -128,7 +126,7 @@ class AlarmBook:
             return alarm
 
     def end(self, source: str, at_s: float | None = None) -> None:
-        """Note that what a source had raised is over. The alarms stay until they are
+        """Mark the alarms of a source as returned to normal. They stay until they are
         acknowledged.
         """
         at_s = self._clock() if at_s is None else at_s
@@ -139,7 +137,7 @@ class AlarmBook:
                     self._is_changed = True
 
     def acknowledge(self, number: int, who: str, role: str) -> Alarm:
-        """Note that a person has seen an alarm; a second time changes nothing.
+        """Acknowledge an alarm for a person; idempotent.
 
         Raises:
             InvalidInputError: there is no such alarm.
@@ -149,7 +147,7 @@ class AlarmBook:
             alarm = self.alarms.get(number)
         if alarm is None:
             raise InvalidInputError(
-                f"There is no alarm {number}.", hint="Load the page again.", path="alarm"
+                f"There is no alarm {number}.", hint="Reload the page.", path="alarm"
             )
         if not alarm.is_open:
             return alarm
@@ -172,14 +170,14 @@ class AlarmBook:
         return seen
 
     def newest(self) -> list[Alarm]:
-        """All alarms: those that nobody has acknowledged first, then by time, newest first."""
+        """All alarms: open ones first, then the acknowledged ones; each newest first."""
         with self._lock:
             found = list(self.alarms.values())
         return sorted(found, key=lambda alarm: (alarm.is_open, alarm.last_s), reverse=True)
 
     def save(self) -> None:
-        """Write what has changed; a failure is logged once, because alarms must not stop what
-        reports them.
+        """Write changes to the file. A failure is only logged, once, because it must not stop the
+        code that raises alarms.
         """
         with self._lock:
             if not self._is_changed:
@@ -193,7 +191,7 @@ class AlarmBook:
         try:
             self._write(json.dumps(told))
         except OSError as error:
-            failure = f"The alarms {self._path} cannot be written: {error.strerror or error}"
+            failure = f"Cannot write the alarms to {self._path}: {error.strerror or error}"
             with self._lock:
                 self._is_changed = True
         if failure and failure != self._failure:
@@ -223,7 +221,9 @@ class AlarmBook:
         except FileNotFoundError:
             return
         except (OSError, ValueError, TypeError, KeyError) as error:
-            log.error("The alarms %s cannot be read, and begin anew: %s", self._path, error)
+            log.error(
+                "Cannot read the alarms in %s; starting with an empty list: %s", self._path, error
+            )
             self.add(
                 "server",
                 "alarms lost",

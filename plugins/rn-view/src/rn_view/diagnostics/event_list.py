@@ -1,6 +1,4 @@
-"""What happened, for the list on the page: tool calls, faults, changes of health, decisions of the
-gate.
-"""
+"""Events for the list on the page: tool calls, faults, health changes, decisions of the gate."""
 
 from __future__ import annotations
 
@@ -20,7 +18,7 @@ from mcp.server.context import CallNext, HandlerResult, ServerRequestContext
 _KEPT = 300
 _MOST_TEXT = 300
 _FIRST_BYTES = 16_384
-"""So much of the end of an audit is read when somebody begins to look."""
+"""Bytes read from the end of an audit file at first."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -30,8 +28,8 @@ class ShownEvent:
     Attributes:
         at_s: wall-clock time [s].
         what: "tool", "fault", "health", "gate" or "stop".
-        text: a sentence.
-        is_bad: it is shown in red.
+        text: what happened, as a sentence.
+        is_bad: shown in red.
     """
 
     at_s: float
@@ -41,7 +39,7 @@ class ShownEvent:
 
 
 class ShownEvents(Protocol):
-    """What a page shows of the events."""
+    """Events as a page reads them."""
 
     @property
     def count(self) -> int:
@@ -61,10 +59,10 @@ class EventList:
         self._lock = threading.Lock()
         self._kept: deque[ShownEvent] = deque(maxlen=kept)
         self.count = 0
-        """How many there were; tells whether there is news."""
+        """Number of events added so far."""
 
     def now_s(self) -> float:
-        """Time given to an event that is added now: wall clock [s]."""
+        """Wall-clock time for a new event [s]."""
         return self._clock()
 
     def add(
@@ -96,12 +94,12 @@ class EventList:
 
 
 class ToolCalls:
-    """Middleware of the MCP server: adds each tool call when it begins and when it ends.
+    """Middleware of the MCP server: adds an event when a tool call begins and when it ends.
 
     Args:
-        events: where it is added.
-        is_quiet: of which tools only failures are added: those that only read, which agents call
-            all the time.
+        events: receives the events.
+        is_quiet: whether only failures of a tool are added. For tools that only read, because
+            agents call them often.
     """
 
     def __init__(
@@ -153,8 +151,8 @@ def shown_arguments(arguments: object) -> str:
 
 
 class AuditReader:
-    """New records of an audit that other processes write, across a rotation. For one thread; no
-    file stays open.
+    """Reads new records of an audit file that other processes write, also across a rotation. For
+    one thread; keeps no file open.
     """
 
     def __init__(self, path: Path) -> None:
@@ -190,9 +188,7 @@ class AuditReader:
 
 
 def _record(line: bytes) -> dict[str, object] | None:
-    """Parse a record; None for a line that is cut at its beginning, and for anything that is no
-    record.
-    """
+    """Parse a line; None for a truncated line and for anything else that is not an audit record."""
     try:
         record = json.loads(line)
     except ValueError:
@@ -201,7 +197,7 @@ def _record(line: bytes) -> dict[str, object] | None:
 
 
 def add_record(events: EventList, record: dict[str, Any]) -> None:
-    """Add a record of the audit."""
+    """Add an audit record to the list."""
     parts = [
         str(record.get("verdict", "")),
         str(record.get("tool", "")),

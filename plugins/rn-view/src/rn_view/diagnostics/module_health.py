@@ -1,4 +1,4 @@
-"""Health of modules for the page, without the flicker of a busy machine."""
+"""Health of modules for the page, debounced against late reports on a busy machine."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from roboneuron.feature import FAULTS
 
 SHORT_S = 1.0
 """A change between "ok" and "silent" is shown once it has lasted this long. On a busy machine a
-status may be a few tenths of a second late. The supervisor acts at once: this is for people only.
+status may be a few tenths of a second late. Only the display waits; the supervisor does not.
 """
 JOINED_S = 5.0
-"""Changes of a module that follow one another within this time share one line."""
+"""Health changes of a module within this time of each other share one line."""
 _FLICKER = {"ok", "silent"}
 
 
@@ -25,7 +25,7 @@ class _Shown:
     """Row of a module on the page.
 
     Attributes:
-        row: as shown last.
+        row: the row shown last.
         since_s: start of a change that is not shown yet [s]; None when there is none.
     """
 
@@ -34,7 +34,7 @@ class _Shown:
 
 
 class SteadyHealth:
-    """Filter for the table of modules. For one thread."""
+    """Debounces health in the table of modules. For one thread."""
 
     def __init__(self) -> None:
         self._shown: dict[str, _Shown] = {}
@@ -59,10 +59,10 @@ class SteadyHealth:
 
 @dataclass(slots=True)
 class _Trouble:
-    """Faults of a module that followed one another closely.
+    """A series of faults of one module.
 
     Attributes:
-        line: their line of the list.
+        line: their common line in the list.
         first_s, last_s: times of the first and the newest change [s].
         counts: number of changes to each fault.
     """
@@ -83,11 +83,11 @@ def _times(count: int) -> str:
 
 
 class HealthLines:
-    """Lines for changes of health; those within `JOINED_S` of one another are one line that says
-    how often. Usable from any thread.
+    """Adds health changes to the list of events. Changes within `JOINED_S` of each other share one
+    line with their counts. Usable from any thread.
 
     Args:
-        events: list that the lines are added to.
+        events: receives the lines.
     """
 
     def __init__(self, events: EventList) -> None:

@@ -1,4 +1,4 @@
-"""One page: what one client sees, and what it may press."""
+"""The page of one client: its layout, its buttons, and the token form."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ from roboneuron.feature import Holder, Role
 
 _LEFT_PX = 310
 _PHONE_PX, _WIDE_PX = 576, 1100
-"""Between these widths cameras, plots and joints are in the panel on the right: the robot has no
-room between two.
+"""Between these widths cameras, plots and joints are in the panel on the right, because two panels
+would hide the robot.
 """
 _LINES = 40
 _MODULES = ("robot", "perception", "control", "inference")
@@ -39,13 +39,13 @@ _JPEG_QUALITY = 80
 _BLANK_PX = 320
 _NOTICE_S = 8.0
 _TRIES = 5
-"""Wrong tokens a page may give; it has to be loaded again then."""
+"""Number of wrong tokens a page may give before it must be reloaded."""
 
 
 class Page:
     """The page of one client.
 
-    The stop button is above it, see `stop_bar`; everything else comes when it is known who looks.
+    The stop button is above it, see `stop_bar`. Everything else is shown once the holder is known.
     """
 
     def __init__(
@@ -60,14 +60,14 @@ class Page:
         open_pages: OpenPages,
     ) -> None:
         """Args:
-        sources: what can be shown, by the robot's name; the first is shown first, and of several
-            one is chosen.
-        operators: call tools for the buttons, by the robot's name; a robot without an operator has
-            no buttons.
-        admit: returns the holder of a token; None if it is nobody's.
+        sources: data sources by robot name. The page shows the first, and has a choice if there are
+            several.
+        operators: call tools for the buttons, by robot name; a robot without one has no buttons.
+        admit: returns the holder of a token; None for an unknown token.
         on_choice: called when another robot is chosen.
-        on_lead: called when this page begins to lead, with the object that it leads as.
+        on_lead: called when this page starts to lead, with the goal and the object that leads.
         lead_sockets: registry of the pages that may lead by hand.
+            open_pages: registry of the open pages, for their requests.
         """
         self.client = client
         self.holder: Holder | None = None
@@ -115,7 +115,7 @@ class Page:
         """Show a form for the token."""
         with self.client.gui.add_form(None) as form:
             token = self.client.gui.add_text("Token", "", hint="as in [[http.tokens]]")
-            send = self.client.gui.add_button("Look")
+            send = self.client.gui.add_button("Show the robot")
         send.on_click(lambda _: form.submit())
 
         def check(_: object) -> None:
@@ -126,7 +126,7 @@ class Page:
                 self.holder = holder
                 on_admitted()
                 return
-            self.tell("No access", "This is nobody's token.", is_bad=True)
+            self.tell("No access", "Unknown token.", is_bad=True)
             self._tries -= 1
             if self._tries:
                 self.ask_token(on_admitted)
@@ -176,12 +176,12 @@ class Page:
             self._let_lead(profile)
 
     def say_full(self, most: int) -> None:
-        """Say that too many pages are open, so that this one shows only the emergency stop."""
+        """Show that too many pages are open, so that this one has only the emergency stop."""
         if self._full_text is None:
             self._full_text = self.client.gui.add_html(markup.full_text(most))
 
     def change(self) -> None:
-        """Remove what belongs to the previous robot; call `show` for the chosen one."""
+        """Remove the contents of the previous robot; call `show` for the chosen one."""
         self._leave_robot()
         with self._lock:
             content, self._content = self._content, None
@@ -193,8 +193,8 @@ class Page:
                 content.remove()
 
     def update_state(self, source: Source, snapshot: PageState, measured: MeasuredTopics) -> None:
-        """Show the state of `source`, unless the page shows another by now; called a few times a
-        second.
+        """Show the state of `source`, unless the page shows another source by now. Called a few
+        times a second.
         """
         with self._lock:
             if self._is_gone or source is not self._source:
@@ -205,7 +205,7 @@ class Page:
                 self._content.update_state(snapshot, measured)
 
     def update_motion(self, source: Source, measured: MeasuredTopics) -> None:
-        """As `update_state`, for what moves; called many times a second."""
+        """Like `update_state`, for the moving parts of the scene. Called many times a second."""
         with self._lock:
             if self._content is not None and not self._is_gone and source is self._source:
                 with self.client.atomic():
@@ -214,14 +214,14 @@ class Page:
     def show_picture(
         self, source: Source, camera: str, pixels: NDArray[np.uint8], *, in_scene: bool
     ) -> None:
-        """As `update_state`, for a camera's picture."""
+        """Like `update_state`, for a camera image."""
         with self._lock:
             if self._content is not None and not self._is_gone and source is self._source:
                 self._content.show_picture(camera, pixels, in_scene=in_scene)
                 self.client.flush()
 
     def tell(self, title: str, text: str, *, is_bad: bool) -> None:
-        """Show a notice for a while."""
+        """Show a notification for a few seconds."""
         self.client.add_notification(
             title, text, auto_close_seconds=_NOTICE_S, color="red" if is_bad else "green"
         )
@@ -235,9 +235,7 @@ class Page:
         self._leave_robot()
 
     def _let_lead(self, profile: RobotProfile) -> None:
-        """Let the holder lead the arm by hand and label recordings, where the server supports
-        it.
-        """
+        """Enable the stick panel: lead the arm and label recordings, if the server supports it."""
         operator, limits = self._operator, profile.limits
         if operator is None:
             return
@@ -272,7 +270,7 @@ class Page:
         return self._operator.call(self.holder, tool, arguments)
 
     def _fetch(self, tool: str) -> Future[Mapping[str, object]]:
-        """Read from a tool as the holder."""
+        """Call a tool that only reads, as the holder."""
         assert self._operator is not None
         assert self.holder is not None
         return self._operator.fetch(self.holder, tool)
@@ -287,7 +285,7 @@ class Page:
 
 
 class _Content:
-    """What a page shows to whom it knows."""
+    """The contents of a page whose holder is known."""
 
     def __init__(
         self,
@@ -350,8 +348,8 @@ class _Content:
             self._lead.end()
 
     def remove(self) -> None:
-        """Remove everything from the page; only for one robot among several, which has no
-        player.
+        """Remove everything from the page. Only for one of several robots, never for a
+        recording.
         """
         if self._lead is not None:
             self._lead.remove()
@@ -389,7 +387,7 @@ class _Content:
             start = gui.add_button_group("Start", _MODULES)
             stop = gui.add_button_group("Stop", (*_MODULES, "all"))
             take = gui.add_button(
-                "Take over", hint="become the operator: the only client that may act"
+                "Take over", hint="Become the operator, the only client that may move the robot."
             )
         send.on_click(lambda _: form.submit())
         form.on_submit(lambda _: call("set_instruction", {"instruction": text.value}))

@@ -1,4 +1,4 @@
-"""What the pages of one robot show; its topics are subscribed to only while somebody looks."""
+"""Updates of all pages of one robot. Its topics are subscribed to only while a page is open."""
 
 from __future__ import annotations
 
@@ -27,18 +27,18 @@ _LEAST_WIDTH_PX, _MOST_WIDTH_PX = 320, 640
 
 
 class RobotPages:
-    """Fills the pages of one robot from `start` to `close`; usable from any thread.
+    """Updates the pages of one robot from `start` to `close`; usable from any thread.
 
     Args:
-        source: what is shown.
-        image_hz: most pictures a second of each camera.
-        on_other_robot: called when another robot runs than the pages were built for: they have to
-            begin anew.
+        source: data source of the robot.
+        image_hz: maximum image rate of each camera.
+        on_other_robot: called when another robot runs than the one that the pages were built for;
+            they must be built again.
 
     Attributes:
         source: see above.
-        measured: None while nobody looks: nothing is subscribed to then.
-        state: the newest that the pages show.
+        measured: None while no page is open; nothing is subscribed to then.
+        state: the newest state shown.
     """
 
     def __init__(
@@ -66,12 +66,12 @@ class RobotPages:
         self._looks = threading.Event()
 
     def start(self) -> None:
-        """Begin to fill pages."""
+        """Start the updates."""
         for thread in (self._motion, self._state, self._pictures):
             thread.start()
 
     def close(self) -> None:
-        """Stop filling pages; idempotent."""
+        """Stop the updates; idempotent."""
         self._is_closing.set()
         self._looks.set()
         self._motion.close()
@@ -86,8 +86,8 @@ class RobotPages:
             self._pages.append(page)
 
     def admit(self, page: Page) -> None:
-        """Show everything to a page whose holder is known; with the first page the subscriptions
-        begin.
+        """Show the robot on a page whose holder is known. The first page starts the
+        subscriptions.
         """
         try:
             with self._lock:
@@ -102,7 +102,7 @@ class RobotPages:
                     lambda: self.measured,
                     lambda: self.state,
                 )
-                self._shown = {}  # it gets the pictures that are there, also if no others come
+                self._shown = {}  # a new page gets the present images at once
         except RoboNeuronError as error:
             log.error("The view cannot show the robot: %s", error)
             page.tell("The robot cannot be shown", str(error), is_bad=True)
@@ -116,7 +116,7 @@ class RobotPages:
                 self._stop_looking()
 
     def goal(self) -> dict[str, float] | None:
-        """Present goal by joint [rad or m] of the page that leads; None when none does."""
+        """Present goal by joint [rad or m] of the page that leads; None if none does."""
         lead, measured = self._lead, self.measured
         return None if lead is None or measured is None else lead.goal(measured.joints)
 
@@ -157,7 +157,7 @@ class RobotPages:
             self._looks.wait(_IDLE_S)
             return
         config = self.source.config()
-        # another robot: every page begins anew
+        # another robot: build every page again
         if (config.robot.name, config.namespace) != self._place:
             with self._lock:
                 self._stop_looking()
@@ -185,11 +185,11 @@ class RobotPages:
             for camera in self._due(measured):
                 try:
                     self._show_picture(measured, camera)
-                except Exception:  # the border to a page that is just going away
+                except Exception:  # the page may just be closing
                     log.exception("A picture of %s could not be shown.", camera)
 
     def _due(self, measured: MeasuredTopics) -> list[str]:
-        """Cameras with a new picture whose minimum interval since the last one is over."""
+        """Cameras with a new image, whose minimum interval is over."""
         now_s = time.monotonic()
         return [
             camera
@@ -217,7 +217,7 @@ class RobotPages:
 
 
 def fitted(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Scale a picture to a width that fits the panel, by repeating or leaving out whole pixels."""
+    """Scale an image to a width that fits the panel, by repeating or omitting whole pixels."""
     width = pixels.shape[1]
     if width > _MOST_WIDTH_PX:
         step = -(-width // _MOST_WIDTH_PX)

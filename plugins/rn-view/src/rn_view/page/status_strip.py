@@ -15,12 +15,12 @@ _KEY_ID = "rn-page-key"
 
 
 def key_html(key: str) -> str:
-    """What tells the page the key of its requests."""
+    """HTML element that holds the key for the requests of the page."""
     return f'<div id="{_KEY_ID}" data-key="{escape(key, quote=True)}"></div>'
 
 
 def with_status_strip(page: str) -> str:
-    """A page with the strip and its panel, which show once it is known who looks."""
+    """Add the strip and its panel to a page. They are hidden until the holder is known."""
     config = {"id": _KEY_ID, "path": PATH, "header": KEY_HEADER}
     page = page.replace("</head>", f"{style_element('status_strip.css')}</head>", 1)
     # before viser's part, so that it comes right after the stop in the order of Tab

@@ -1,5 +1,6 @@
-"""The bar above the page with the emergency stop: plain HTML and requests, so that it needs no seat
-and no WebGL.
+"""The bar with the emergency stop above the page.
+
+It is plain HTML with HTTP requests (static/stop_bar.*), so it needs no websocket and no WebGL.
 """
 
 from __future__ import annotations
@@ -12,30 +13,30 @@ from rn_view.static import script_element, style_element
 from roboneuron import PluginError
 
 STOP_PATH = "/emergency_stop"
-"""GET with the header below latches the emergency stop; `?robot=NAME` that of one robot."""
+"""GET with `HEADER` latches the emergency stop; `?robot=NAME`: of one robot."""
 STATE_PATH = "/emergency_stop/state"
 HEADER = "X-RoboNeuron"
-"""Pages of other origins cannot send it without being allowed to, and no link or image can."""
+"""Pages of other origins need a permission to send it, and links and images cannot send it."""
 HEADER_VALUE = "stop"
 KEY = "F9"
 TITLE = "RoboNeuron"
 _HEAD, _BODY = "<title>Viser</title>", '<div id="root"></div>'
-"""What is replaced in viser's page."""
+"""Parts of viser's page that are replaced."""
 
 DARK_COOKIE, WIDTH_COOKIE = "roboneuron_dark", "roboneuron_width"
 _DISPLAY_COOKIES = f"""document.cookie = "{DARK_COOKIE}=" +
   Number(matchMedia("(prefers-color-scheme: dark)").matches) + "; path=/; SameSite=Strict";
 document.cookie = "{WIDTH_COOKIE}=" + Math.round(innerWidth) + "; path=/; SameSite=Strict";"""
-"""Before viser's program connects: it is the server that says whether its part is dark, and where
-the panels are. The width of the scene is another, once a panel is beside it.
+"""Set before viser's program connects, because the server chooses the theme and the place of the
+panels. The width must be that of the whole page; viser reports only that of the scene.
 """
 
 
 def base_page() -> str:
-    """viser's page.
+    """Read viser's page.
 
     Raises:
-        PluginError: this version of viser has another page than this package expects.
+        PluginError: the page of this version of viser differs from the expected one.
     """
     import viser  # heavy
 
@@ -44,18 +45,18 @@ def base_page() -> str:
     )
     if page.count(_HEAD) != 1 or page.count(_BODY) != 1:
         raise PluginError(
-            f"The page of viser {viser.__version__} is another than expected.",
-            hint="Use viser 1.1.",
+            f"The page of viser {viser.__version__} differs from the expected one.",
+            hint="Install viser 1.1.",
         )
     return page
 
 
 def page_with_bar(base: str, robots: Sequence[str]) -> str:
-    """The page of these robots, with the emergency stop.
+    """Add the bar with the emergency stop of these robots to a page.
 
     Args:
         base: result of `base_page`.
-        robots: their names; with several, each has its own stop beside the common one.
+        robots: names; several robots get a stop each, beside the common one.
     """
     title = f"{', '.join(robots)} - {TITLE}" if any(robots) else TITLE
     several = len(robots) > 1
@@ -89,5 +90,5 @@ def page_with_bar(base: str, robots: Sequence[str]) -> str:
 
 
 def page_without_stop(base: str, title: str) -> str:
-    """The page of a recording: without the emergency stop, as there is no robot."""
+    """The page of a recording, which has no emergency stop because there is no robot."""
     return base.replace(_HEAD, f"<title>{escape(title)} - {TITLE}</title>")

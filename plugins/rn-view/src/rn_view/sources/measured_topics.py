@@ -1,6 +1,4 @@
-"""What the robot's topics carry while somebody looks: joints, TCP poses, actions, commands and
-pictures.
-"""
+"""Subscriptions to the robot's topics: joints, TCP poses, actions, commands, images."""
 
 from __future__ import annotations
 
@@ -37,7 +35,7 @@ class ShownAction(NamedTuple):
     """One action.
 
     Attributes:
-        at_s: when it came [s], as of `Source.now_s`.
+        at_s: time of arrival [s], as `Source.now_s`.
         label: of its control space.
         values: as sent.
     """
@@ -48,7 +46,7 @@ class ShownAction(NamedTuple):
 
 
 class TcpTrack:
-    """Where the TCP of one arm is, and was.
+    """Measured TCP of one arm, and its trail.
 
     Attributes:
         pose: measured position [m] (3,) and orientation wxyz (4,) in the base frame; None before
@@ -61,7 +59,7 @@ class TcpTrack:
         self.trail: deque[F64] = deque(maxlen=_TRAIL)
 
     def add(self, message: PoseStamped) -> None:
-        """Take a measured pose."""
+        """Add a measured pose."""
         at, turn = message.pose.position, message.pose.orientation
         position = np.array([at.x, at.y, at.z])
         self.pose = position, np.array([turn.w, turn.x, turn.y, turn.z])
@@ -69,23 +67,23 @@ class TcpTrack:
             self.trail.append(position)
 
     def clear(self) -> None:
-        """Forget pose and trail."""
+        """Drop pose and trail."""
         self.pose = None
         self.trail.clear()
 
 
 class MeasuredTopics:
-    """The newest messages; `open` subscribes and `close` ends that. Fields may be read from any
+    """Newest messages of the topics; subscribed from `open` to `close`. Fields may be read from any
     thread.
 
     Attributes:
         joints: measured position [rad or m] by joint name.
-        tracks: the TCP of each arm by its name; "" for the only one.
-        commanded: positions by joint name that were commanded last; empty before the first command.
-        actions: the newest, oldest first.
-        chunk: the policy's newest one; None where nobody tells it.
-        images: number, pixels (H, W, 3) and capture time [ns] of each camera's newest picture.
-        news: notified with every picture.
+        tracks: TCP of each arm by its name; "" for an only arm.
+        commanded: positions of the last command by joint name; empty before the first.
+        actions: the newest actions, oldest first.
+        chunk: newest action chunk of the policy; None if it is not published.
+        images: newest image by camera: its number, pixels (H, W, 3) and capture time [ns].
+        news: notified with every image.
     """
 
     def __init__(self, source: Source, profile: RobotProfile) -> None:
@@ -101,7 +99,7 @@ class MeasuredTopics:
         self.news = threading.Condition()
 
     def open(self) -> None:
-        """Subscribe. Raises RoboNeuronError when the ROS graph cannot be joined."""
+        """Subscribe. Raises RoboNeuronError if the ROS graph cannot be joined."""
         from geometry_msgs.msg import PoseStamped  # heavy
         from sensor_msgs.msg import Image, JointState
         from std_msgs.msg import Float64MultiArray, String
@@ -128,7 +126,7 @@ class MeasuredTopics:
             self._ends.pop()()
 
     def clear(self) -> None:
-        """Forget what was received before a jump in a recording; pictures stay until new ones
+        """Drop what was received before a jump in a recording. Images stay until new ones
         arrive.
         """
         self.joints, self.commanded, self.chunk = {}, {}, None
@@ -145,7 +143,7 @@ class MeasuredTopics:
     def _on_action(self, message: Float64MultiArray) -> None:
         dims = message.layout.dim
         label = dims[0].label if dims else ACTION_LABEL
-        # rows that are planned after it may follow
+        # later rows of the plan may follow
         values = message.data[: dims[0].size] if len(dims) > 1 else message.data
         self.actions.append(ShownAction(self._source.now_s(), label, tuple(values)))
 

@@ -1,4 +1,4 @@
-"""What the buttons of a page ask of the server."""
+"""Protocol of the tool calls that a page's buttons make."""
 
 from __future__ import annotations
 
@@ -12,7 +12,9 @@ from roboneuron.feature import Holder
 
 
 class Operator(Protocol):
-    """Calls tools for a page; the page of a view without one has no buttons but the stop."""
+    """Calls tools for a page. Without an operator the only button of a page is the emergency
+    stop.
+    """
 
     def call(self, holder: Holder, tool: str, arguments: dict[str, object]) -> Future[str]:
         """Call a tool as `holder`. Returns at once; the future gives the error text, empty on
@@ -39,7 +41,7 @@ class Operator(Protocol):
         ...
 
     def lend(self, name: str, source: PageTeleoperator | None) -> bool:
-        """Offer a teleoperator under a name, or withdraw it with None; returns whether this server
-        can lead arms.
+        """Offer a teleoperator under a name, or withdraw it with None. Returns whether this server
+        supports teleoperation.
         """
         ...

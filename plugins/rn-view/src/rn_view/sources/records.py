@@ -1,4 +1,4 @@
-"""What a server keeps of its robot for those who operate it: alarms, maintenance, past tasks."""
+"""Records of a robot for its operators: alarms, maintenance, past tasks."""
 
 from __future__ import annotations
 
@@ -10,19 +10,21 @@ from rn_view.diagnostics.alarms import AlarmBook
 
 
 class MaintenanceSwitch(Protocol):
-    """Takes the robot out of service; `rn_standard.ops.maintenance.MaintenanceFeature`."""
+    """Maintenance mode of a robot; implemented by
+    `rn_standard.ops.maintenance.MaintenanceFeature`.
+    """
 
     @property
     def state(self) -> object | None:
-        """Who took it out of service, as text; None in service."""
+        """Who took the robot out of service and why, as text; None in service."""
         ...
 
     def begin(self, who: str, role: str, reason: str) -> object:
-        """Take it out of service. Raises RoboNeuronError."""
+        """Take the robot out of service. Raises RoboNeuronError."""
         ...
 
     def end(self, who: str, role: str) -> None:
-        """Put it back. Raises RoboNeuronError."""
+        """Put the robot back in service. Raises RoboNeuronError."""
         ...
 
 
@@ -31,12 +33,12 @@ class ShownTask:
     """One past task.
 
     Attributes:
-        number: unique and lasting: its end [s since 1970] and its place among those of that second.
-        at_s: its end, wall clock [s].
-        instruction, outcome, reason: as of run_task.
-        attempts, took_s: as of run_task; time in seconds.
-        model: what the policy was started with, in words.
-        pictures: whether there is one of the beginning, and of the end.
+        number: permanent identifier: end time [s since 1970], and a count within that second.
+        at_s: end time, wall clock [s].
+        instruction, outcome, reason: as in the result of run_task.
+        attempts, took_s: as in the result of run_task; time in seconds.
+        model: what the policy was started with, as text.
+        pictures: whether there is a picture of the start, and of the end.
     """
 
     number: str
@@ -51,25 +53,25 @@ class ShownTask:
 
 
 class PastTaskList(Protocol):
-    """The tasks that were carried out, and pictures of them."""
+    """Past tasks and their pictures."""
 
     def newest(self) -> Sequence[ShownTask]:
         """Newest first. Raises OSError when they cannot be read."""
         ...
 
     def picture(self, number: str, *, is_end: bool) -> bytes | None:
-        """JPEG of the main camera at the beginning or end of a task; None when nobody kept one.
-        Blocks.
-        """
+        """JPEG of the main camera at the start or end of a task; None if there is none. Blocks."""
         ...
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RobotRecords:
-    """Attributes:
-    alarms: what went wrong.
-    maintenance: None where the server has none.
-    tasks: None where the server has none.
+    """Records of one robot.
+
+    Attributes:
+        alarms: its alarms.
+        maintenance: None if the server has no maintenance mode.
+        tasks: None if the server has no tool for tasks.
     """
 
     alarms: AlarmBook

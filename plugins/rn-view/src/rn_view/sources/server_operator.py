@@ -23,12 +23,12 @@ T = TypeVar("T")
 
 
 class ServerOperator:
-    """Calls tools on the server's event loop, where every client's calls are made.
+    """Calls tools on the server's event loop, as for MCP clients.
 
     Args:
         host: the server.
-        lease: told who has a page open, and who has left, so that another client may operate the
-            robot.
+        lease: renewed by open pages and released when they close, so that another client may
+            operate the robot.
     """
 
     def __init__(self, host: Host, lease: OperatorLease | None = None) -> None:
@@ -98,7 +98,7 @@ class _Context:
         on_cancel: Callable[[], object] = lambda: None,
         on_leave: Callable[[], object] | None = None,
     ) -> T:
-        """See CallContext; `on_leave` is ignored, since no button starts a motion that ends with
+        """See CallContext. `on_leave` is ignored, because no button starts a motion that ends with
         its page.
         """
         thread = anyio.CapacityLimiter(1)
@@ -111,7 +111,7 @@ class _Context:
             raise
 
     async def ask(self, question: str, what: str = "") -> str | None:
-        """See CallContext; a button cannot ask a person, so the emergency stop is not released from
-        the page.
+        """See CallContext. A button cannot ask a person, so the page cannot release the emergency
+        stop.
         """
         return None

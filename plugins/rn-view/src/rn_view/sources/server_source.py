@@ -1,4 +1,4 @@
-"""What the pages show, from the objects of the server in this process."""
+"""Source of a view in the server's process."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ _SHOWN_VERDICTS = (
     "reset",
     "lapsed",
 )
-"""What is allowed is in the list as a tool call already."""
+"""Verdicts that become events. Allowed calls are in the list already, as tool calls."""
 
 
 class ServerSource:
-    """Source of a view in the server's own process."""
+    """Source that reads the objects of the server in this process."""
 
     label = "live"
     playback = None

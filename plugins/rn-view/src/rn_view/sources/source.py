@@ -1,5 +1,5 @@
-"""What a page shows, whichever way it is learnt: from the server itself, or from the ROS graph and
-its files.
+"""The data that a page shows, and the protocol of its source: a server, the ROS graph or a
+recording.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ MODULE_KINDS: tuple[ModuleKind, ...] = ("robot", "perception", "inference", "con
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ModuleRow:
-    """One module as the page shows it; numbers are None when the module does not say them.
+    """Row of the table of modules. Numbers are None if the module does not report them.
 
     Attributes:
-        kind, health: which one, and a word of `roboneuron.supervisor.health.EXPLANATIONS`.
-        text: what it does, waits for or fails with, in its own words.
-        chosen: what it was started with, such as the name of the backend.
+        kind, health: kind of module, and a key of `roboneuron.feature.EXPLANATIONS`.
+        text: its error, what it waits for, or its note.
+        chosen: name of the plugin that it was started with, such as the backend.
         rate_hz, latency_ms, latency_p99_ms, age_ms: of its output.
         dropped: inputs not acted on.
     """
@@ -105,7 +105,7 @@ _PARTS = {part: f"backend.shared.{part}_ms" for part in ("round_trip", "link", "
 
 
 def note_text(note: str, metrics: Mapping[str, str]) -> str:
-    """A module's note, and, if its policy runs on another machine, how the response time is split.
+    """Note of a module; for a policy on another machine, with the parts of the response time.
 
     Args:
         note: note of the module.
@@ -113,7 +113,7 @@ def note_text(note: str, metrics: Mapping[str, str]) -> str:
     """
     try:
         whole, *parts = (f"{part} {float(metrics[key]):.0f}" for part, key in _PARTS.items())
-    except (KeyError, ValueError):  # its policy is here; or it is no module of ours
+    except (KeyError, ValueError):  # a local policy, or a module that does not report them
         return note
     split = f"{whole.replace('_', ' ')} ms: {', '.join(parts)}"
     return f"{note}; {split}" if note else split
@@ -121,16 +121,16 @@ def note_text(note: str, metrics: Mapping[str, str]) -> str:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PageState:
-    """The state at one moment.
+    """State of the robot at one moment.
 
     Attributes:
-        modules: in the usual order of starting.
-        is_latched, cause: the emergency stop, and who pressed it and why.
-        instruction: what the backend was told.
-        limit: control's words on the limit that acted last; after `ActiveLimits` on the one that
-            acts now, empty without one.
-        limit_counts: how often each limit has acted, by its name as in `[limits] on_<name>`.
-        limits: those that act now, see `ActiveLimits`.
+        modules: in the order of `MODULE_KINDS`.
+        is_latched, cause: of the emergency stop; the cause says who pressed it and why.
+        instruction: the present instruction of the policy.
+        limit: control's message about the limit that acted last. After `ActiveLimits`: about the
+            limit that acts now, empty if none does.
+        limit_counts: number of times each limit has acted, by its name as in `[limits] on_<name>`.
+        limits: names of the limits that act now, see `ActiveLimits`.
     """
 
     modules: tuple[ModuleRow, ...] = ()
@@ -143,14 +143,14 @@ class PageState:
 
 
 class Source(Protocol):
-    """Where a page's facts come from. Usable from any thread.
+    """Data source of a page. Usable from any thread.
 
     Attributes:
-        shown_events: what happened, newest last.
-        label: says on the page which kind of view it is.
-        playback: plays a recording; None for a robot that is there. Without a robot the page has no
-            emergency stop.
-        records: alarms, maintenance and past tasks; None where only the server has them.
+        shown_events: the list of events.
+        label: kind of view, shown on the page.
+        playback: of a recording; None for a live robot. The page of a recording has no emergency
+            stop.
+        records: alarms, maintenance and past tasks; None outside the server.
     """
 
     @property
@@ -166,8 +166,8 @@ class Source(Protocol):
     def records(self) -> RobotRecords | None: ...
 
     def now_s(self) -> float:
-        """Time of what is shown [s]: monotonic, or within a recording; in a callback of `subscribe`
-        the time of the message.
+        """Time of the data shown [s]: monotonic, or within a recording. In a callback of
+        `subscribe` it is the time of the message.
         """
         ...
 
@@ -180,15 +180,19 @@ class Source(Protocol):
         ...
 
     def snapshot(self) -> PageState:
-        """State at the time that is shown."""
+        """State at the time shown."""
         ...
 
     def is_latched(self) -> bool:
-        """Whether the emergency stop is latched; answers at once, also while no page is open."""
+        """Whether the emergency stop is latched. Does not block; also called while no page is
+        open.
+        """
         ...
 
     def poll(self) -> None:
-        """Read the audit and other files; called a few times a second; adds to `shown_events`."""
+        """Read the audit and other files, and add to `shown_events`. Called a few times a
+        second.
+        """
         ...
 
     def subscribe(
@@ -203,8 +207,8 @@ class Source(Protocol):
         ...
 
     def press_stop(self, who: str) -> str:
-        """Latch the emergency stop; blocks until it is confirmed and returns a text that says by
-        whom.
+        """Latch the emergency stop. Blocks until modules confirm it; returns a message that names
+        them.
 
         Raises:
             RoboNeuronError: it could not be written or was not confirmed.

@@ -1,4 +1,4 @@
-"""Pieces of the page as HTML; everything that somebody else said is escaped."""
+"""Texts and tables of the page as HTML. Text from outside is escaped."""
 
 from __future__ import annotations
 
@@ -14,24 +14,22 @@ from roboneuron.feature import EXPLANATIONS, FAULTS
 
 _GOOD, _IDLE = "light-dark(#237032, #69db7c)", "light-dark(#555c63, #ced4da)"
 _BAD, _STARTING = "light-dark(#b01e1e, #ff8787)", "light-dark(#9c5200, #ffc078)"
-"""By day and by night. Each has a contrast of more than 5. Source: WCAG 2.2, success criterion
+"""For a light and a dark page, each with a contrast above 5. Source: WCAG 2.2, success criterion
 1.4.3 (AA: 4.5).
 """
 _ALARM = "#b01e1e"
-"""Behind white."""
+"""Background of white text."""
 _SMALL = "font-size:12px;line-height:1.35"
 STYLE = (
     '<style>@media (max-width: 36em) {div[style*="width: 20em"] {width: 100% !important}}</style>'
 )
-"""On a phone viser 1.1 makes the panel 20em wide and leaves a strip beside it; with this it is as
-wide as the page.
-"""
+"""On a phone viser 1.1 makes the panel 20em wide. This makes it as wide as the page."""
 _NEAR = 0.05
 """Share of a joint's range within which it is shown as near its limit."""
 
 
 def stop_text(snapshot: PageState | None, label: str) -> str:
-    """Whether the emergency stop is latched."""
+    """State of the emergency stop; `label` is the kind of view."""
     if snapshot is None:
         return _line("", label)
     if not snapshot.is_latched:
@@ -39,23 +37,24 @@ def stop_text(snapshot: PageState | None, label: str) -> str:
     cause = f": {escape(snapshot.cause)}" if snapshot.cause else ""
     return (
         f'<div style="{_SMALL};padding:6px 14px;background:{_ALARM};color:white"><b>EMERGENCY STOP '
-        f"LATCHED</b>{cause}. "
-        "Look at the robot; a person releases it with <code>roboneuron estop --reset</code>.</div>"
+        f"LATCHED</b>{cause}. Check the robot. Then a person releases the stop with "
+        "<code>roboneuron estop --reset</code>.</div>"
     )
 
 
 def full_text(most: int) -> str:
-    """Why this page shows only the emergency stop."""
+    """Message on a page beyond the maximum number, which shows only the emergency stop."""
     return _line(
         "font-size:14px",
-        f"{most} pages are open, which is <code>max_viewers</code> of [view]. This one has the "
-        "emergency stop only. "
-        "Close another one and load this one again.",
+        f"{most} pages are open, the limit <code>max_viewers</code> of [view]. This page has only "
+        "the emergency stop. Close another page, then reload this one.",
     )
 
 
 def recording_text(playback: Playback, snapshot: PageState | None) -> str:
-    """Title of the recording, the time shown, and whether the emergency stop was latched then."""
+    """Title of the recording, the time shown, and whether the emergency stop was latched at that
+    time.
+    """
     at_s = playback.begun_s + playback.position_s
     moment = f"{time.strftime('%Y-%m-%d %H:%M:%S', time.localtime(at_s))}.{int(at_s * 10) % 10}"
     text = (
@@ -68,14 +67,14 @@ def recording_text(playback: Playback, snapshot: PageState | None) -> str:
 
 
 def mark_text(mark: Mark, position_s: float) -> str:
-    """The newest event before the position, and how long ago it was."""
+    """Newest mark before the position, and the time since then."""
     return _line(
         "overflow-wrap:anywhere", f"{position_s - mark.at_s:.1f} s after {escape(mark.text[:160])}"
     )
 
 
 def instruction_text(snapshot: PageState) -> str:
-    """The instruction given to the backend."""
+    """The present instruction of the policy."""
     text = escape(snapshot.instruction) or "none"
     return f'<div style="padding:4px 14px;font-size:14px">Instruction: <b>{text}</b></div>'
 
@@ -118,7 +117,7 @@ def _module_rows(row: ModuleRow) -> str:
 def joints_table(
     profile: RobotProfile, joints: Mapping[str, float], limited: Sequence[str] = ()
 ) -> str:
-    """Where each joint is within its limits, as a table."""
+    """Position of each joint within its limits."""
     limits = profile.limits
     if limits is None:
         return _line("", "This robot has no arm joints.")
@@ -148,9 +147,9 @@ def joints_table(
 
 
 def event_rows(events: Sequence[ShownEvent]) -> str:
-    """The newest events as HTML."""
+    """The newest events, one line each."""
     if not events:
-        return _line("", "Nothing has happened yet.")
+        return _line("", "No events yet.")
     rows = "".join(
         '<div style="padding:1px '
         f'0;overflow-wrap:anywhere;color:{_BAD if event.is_bad else "inherit"}">'

@@ -22,7 +22,7 @@ SPANS_S = {"5 s": 5.0, "30 s": 30.0, "2 min": 120.0}
 SPAN_S = 30.0
 _MOST_POINTS = 240
 _KEPT_ROWS = 480
-"""States of two minutes."""
+"""Snapshots of two minutes."""
 _COLOURS = (
     *("#1f77b4", "#d62728", "#2ca02c", "#9467bd"),
     *("#ff7f0e", "#8c564b", "#e377c2", "#7f7f7f"),
@@ -33,16 +33,14 @@ _UNITS = {
     "joint_delta": "rad or m",
     "ee_pose": "m, quaternion",
 }
-"""Units of the channels but for grippers, by kind of control space."""
+"""Units of the channels, except grippers, by kind of control space."""
 _HEIGHT_PX = 130
 _BEHIND = 10.0
-"""Place of the plots after those of the actions."""
+"""Order of these plots: after those of the actions."""
 
 
 class History:
-    """Rates and latencies of the modules over the last seconds, taken from snapshots; shared by all
-    pages.
-    """
+    """Rates and latencies of the modules over the last two minutes; shared by all pages."""
 
     def __init__(self) -> None:
         self._rows: deque[tuple[float, dict[str, float], dict[str, float]]] = deque(
@@ -50,7 +48,9 @@ class History:
         )
 
     def add(self, snapshot: PageState, now_s: float) -> None:
-        """Add a snapshot. Entries later than `now_s` are dropped: the recording was rewound."""
+        """Add a snapshot. Entries later than `now_s` are dropped, because the recording was
+        rewound.
+        """
         while self._rows and self._rows[-1][0] > now_s:
             self._rows.pop()
         rates = {row.kind: row.rate_hz for row in snapshot.modules if row.rate_hz is not None}
@@ -60,8 +60,8 @@ class History:
         self._rows.append((now_s, rates, latencies))
 
     def series(self, index: int, now_s: float, span_s: float = SPAN_S) -> tuple[F64, ...]:
-        """Ages [s] and the values of each module: 1 for rates [Hz], 2 for latencies [ms]; 0 where a
-        module reported none.
+        """Ages [s], then the values of each module: rates [Hz] for index 1, latencies [ms] for
+        index 2; 0 if a module reported none.
         """
         rows = [row for row in list(self._rows) if now_s - row[0] <= span_s]
         ages = np.array([row[0] - now_s for row in rows])
@@ -75,12 +75,12 @@ def _value(row: tuple[float, dict[str, float], dict[str, float]], index: int, ki
 
 
 class ActionPanel(NamedTuple):
-    """One plot of actions.
+    """Layout of one plot of actions.
 
     Attributes:
-        names: of the channels.
-        columns: of these channels in a row.
-        scale: what values are multiplied by to be shown.
+        names: labels of the channels.
+        columns: of these channels in an action.
+        scale: factor from the values to the plotted ones.
     """
 
     title: str
@@ -90,7 +90,7 @@ class ActionPanel(NamedTuple):
 
 
 def action_panels(label: str) -> tuple[ActionPanel, ...]:
-    """The plots for actions whose control space has this label."""
+    """Plots for actions of the control space with this label."""
     if label == ACTION_LABEL:
         return (
             ActionPanel("action: translation [mm]", ("dx", "dy", "dz"), (0, 1, 2), 1000.0),
@@ -113,7 +113,7 @@ def action_panels(label: str) -> tuple[ActionPanel, ...]:
 
 
 def _arm_of(key: str) -> str:
-    """The arm that the key of a channel names; "" for the only one."""
+    """Arm in the key of a channel; "" for an only arm."""
     return key.rpartition("/")[0]
 
 
@@ -122,7 +122,7 @@ class Plots:
 
     Args:
         gui: of the page.
-        place: the container of the plots, entered to add others when actions have other channels.
+        place: container of the plots; entered again when the channels of the actions change.
     """
 
     def __init__(self, gui: viser.GuiApi, place: AbstractContextManager[object]) -> None:
@@ -133,19 +133,19 @@ class Plots:
             spans = gui.add_button_group(
                 "Time span",
                 tuple(SPANS_S),
-                hint="Drag over a plot to enlarge a part; press here, or twice on it, to see all.",
+                hint="Drag over a plot to zoom in. Press here, or double-click the plot, to reset.",
                 order=-2.0,
             )
-            self._still = gui.add_checkbox("Hold still", False, order=-1.0)
+            self._still = gui.add_checkbox("Freeze plots", False, order=-1.0)
         spans.on_click(lambda _: self._show_span(SPANS_S[str(spans.value)]))
         self._actions: list[tuple[ActionPanel, viser.GuiUplotHandle]] = []
         self._show_channels(ACTION_LABEL)
         with place:
-            self._latency = self._plot("latency [ms]; 0: not said", MODULE_KINDS, order=_BEHIND)
+            self._latency = self._plot("latency [ms]; 0: not reported", MODULE_KINDS, order=_BEHIND)
             self._rate = self._plot("rate [Hz]", MODULE_KINDS, order=_BEHIND + 1.0)
 
     def update(self, actions: Sequence[ShownAction], history: History, now_s: float) -> None:
-        """Show the newest values; `now_s` is the time of `Source.now_s`."""
+        """Show the newest values; `now_s` as `Source.now_s`."""
         if self._still.value:
             return
         label = actions[-1].label if actions else self._label
@@ -167,7 +167,7 @@ class Plots:
         self._rate.data = _filled(history.series(1, now_s, self._span_s))
 
     def _show_span(self, span_s: float) -> None:
-        """Show so much time; a part of a plot that was enlarged is left."""
+        """Show this time span, and reset the zoom."""
         self._span_s = span_s
         self._still.value = False  # type: ignore[misc]
         for plot in (*(plot for _, plot in self._actions), self._latency, self._rate):
@@ -213,9 +213,7 @@ def _scales(span_s: float) -> dict[str, viser.uplot.Scale]:
 
 
 def _filled(data: tuple[F64, ...]) -> tuple[F64, ...]:
-    """The data, or one point at zero: a plot needs at least one point and cannot scale without a
-    value.
-    """
+    """The data, or one point at zero if empty: a plot cannot set its scale without a value."""
     if data[0].size:
         return data
     return (np.array([0.0]), *(np.array([0.0]) for _ in data[1:]))

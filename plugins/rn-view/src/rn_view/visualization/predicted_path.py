@@ -1,5 +1,5 @@
-"""Where a policy's running chunk leads the TCP: computed from its rows for the scene, before
-control and its limits.
+"""TCP path that the running action chunk leads to, for the scene. Computed from the chunk, before
+the limits of control.
 """
 
 from __future__ import annotations
@@ -19,22 +19,22 @@ Forward = Callable[[Mapping[str, float]], Mapping[str, F64]]
 """Joint positions by name -> pose (4, 4) of the TCP of each arm."""
 _MOST_ROWS = 256
 _MOST_POSTURES = 16
-"""A posture takes about a millisecond."""
+"""Each takes about a millisecond."""
 _KEPT_S = 1.0
-"""A path is shown for so long after its last row was due."""
+"""A path is shown for this time after its last row was due."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class PlannedChunk:
-    """Rows of one chunk, and where they begin.
+    """An action chunk, and the state that it starts from.
 
     Attributes:
-        at_s: when it came [s], as of `Source.now_s`.
+        at_s: time of arrival [s], as `Source.now_s`.
         label: of its control space.
         rows: float64 (k, n).
         step_s: time between rows [s].
-        starts_m: TCP of each arm when it was observed [m]; empty when that is not known.
-        joints: positions by name then.
+        starts_m: TCP of each arm in the observation [m]; empty if unknown.
+        joints: joint positions in the observation, by name.
     """
 
     at_s: float
@@ -46,8 +46,8 @@ class PlannedChunk:
 
     @classmethod
     def parse(cls, text: str, at_s: float) -> PlannedChunk | None:
-        """Parse the description of a prediction, as the recorder's `predictions` carries it; None
-        for a failed one, and for what is none.
+        """Parse a message of the recorder's topic `predictions`; None for a failed prediction and
+        for any other text.
         """
         try:
             told = json.loads(text)
@@ -70,14 +70,14 @@ class PlannedChunk:
         return chunk if is_whole and np.isfinite(rows).all() else None
 
     def is_over(self, now_s: float) -> bool:
-        """Whether its last row was due a while ago."""
+        """Whether its last row was due more than a second ago."""
         return not 0.0 <= now_s - self.at_s <= len(self.rows) * self.step_s + _KEPT_S
 
     def paths(self, forward: Forward | None) -> dict[str, F64]:
-        """Positions [m] (k, 3) of the TCP of each arm; empty where they cannot be computed.
+        """TCP positions [m] (k, 3) of each arm; without the arms for which they cannot be computed.
 
         Args:
-            forward: of the robot's model; None without one.
+            forward: forward kinematics; None without a robot model.
         """
         kind = self.label.partition(":")[0].partition("@")[0]
         keys = channel_keys(self.label)
@@ -117,7 +117,7 @@ class PlannedChunk:
 
 
 def _columns(keys: tuple[str, ...], rows: F64, names: tuple[str, ...]) -> dict[str, F64]:
-    """The columns of these names, by arm."""
+    """Columns with these names, by arm."""
     arms = dict.fromkeys(key.rpartition("/")[0] for key in keys)
     found: dict[str, F64] = {}
     for arm in arms:

@@ -1,4 +1,4 @@
-"""A robot's kinematics and shapes from its URDF."""
+"""Kinematics and shapes of a robot, from its URDF."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ class RobotModel:
         self.urdf: yourdfpy.URDF = yourdfpy.URDF.load(io.BytesIO(profile.urdf.encode()))
 
     def configuration(self, joints: Mapping[str, float]) -> F64:
-        """Positions in the order of the URDF; 0 for a joint that is not known."""
+        """Joint positions in the order of the URDF; 0 for a joint without a measurement."""
         return np.array([joints.get(name, 0.0) for name in self.urdf.actuated_joint_names])
 
     def tcps_of(self, joints: Mapping[str, float]) -> dict[str, F64]:
-        """Pose (4, 4) of the TCP of each arm in the base frame at these positions; leaves the model
-        there.
+        """TCP pose (4, 4) of each arm in the base frame. Leaves the model at these joint
+        positions.
         """
         self.urdf.update_cfg(self.configuration(joints))
         base = self.profile.base_link
@@ -46,8 +46,8 @@ class RobotModel:
         }
 
     def joint_place(self, joint: str, joints: Mapping[str, float]) -> F64 | None:
-        """Position [m] of a joint in the base frame; None for one that the URDF lacks. Leaves the
-        model there.
+        """Position [m] of a joint in the base frame; None if the URDF has no such joint. Leaves the
+        model at these joint positions.
         """
         found = self.urdf.joint_map.get(joint)
         if found is None:

@@ -1,4 +1,4 @@
-"""The robot and what surrounds it, in three dimensions, on one page."""
+"""The 3-D scene of a page: the robot, its limits, and what surrounds it."""
 
 from __future__ import annotations
 
@@ -39,17 +39,18 @@ _GHOST_FROM = 0.05
 _FRUSTUM_M = 0.12
 _TARGET_M = 0.018
 _BESIDE_TCP_M = np.array([0.0, 0.0, 0.12])
-"""Where the name of an arm stands, from its TCP."""
+"""Position of an arm's name, from its TCP in the base frame."""
 _BELOW_M = 1.0
-"""On a phone one looks at a place so far below the workspace, which then is above the panel."""
+"""On a phone the camera looks this far below the workspace, so that the panel does not hide it."""
 
 
 class ArmScene:
-    """The measured TCP of one arm, its trail, and where it was sent last; on one page.
+    """Measured TCP of one arm, its trail, its predicted path and its commanded position, on one
+    page.
 
     Args:
-        scene: of the page.
-        arm: whose.
+        scene: scene of the page.
+        arm: the arm.
     """
 
     def __init__(self, scene: viser.SceneApi, arm: ArmProfile) -> None:
@@ -75,12 +76,12 @@ class ArmScene:
         self._shown: tuple[object, int] = (None, 0)
 
     def target(self, position_m: F64) -> None:
-        """Show the position that the TCP was sent to [m]."""
+        """Show the commanded position of the TCP [m]."""
         self._target.position = position_m
         self._target.visible = True
 
     def show_path(self, points: F64 | None) -> None:
-        """Show where the running chunk leads [m] (k, 3); None for nowhere."""
+        """Show the predicted path of the running chunk [m] (k, 3); None hides it."""
         if points is None or len(points) < 2:
             if self._path is not None:
                 self._path.visible = False
@@ -94,7 +95,7 @@ class ArmScene:
 
     @property
     def tcp_m(self) -> F64:
-        """Where the TCP is shown [m]."""
+        """Position at which the TCP is shown [m]."""
         return np.asarray(self._tcp.position, dtype=np.float64)
 
     def update(self, track: TcpTrack, joints: Mapping[str, float]) -> None:
@@ -103,7 +104,7 @@ class ArmScene:
             self._tcp.position, self._tcp.wxyz = track.pose
             self._tcp.visible = True
             if self._label is not None:
-                # a label does not move with the frame that it is in
+                # a label does not follow the frame that it belongs to
                 self._label.position = track.pose[0] + _BESIDE_TCP_M
                 self._label.visible = True
         gripper = self._arm.gripper
@@ -120,12 +121,12 @@ class ArmScene:
                 self._trail = _add_lines(self._scene, name, points, _TRAIL_RGB, width_px=2.0)
             self._trail.points = points.astype(np.float32)
         if self._trail is not None:
-            self._trail.visible = len(trail) > 1  # none yet at the beginning of a recording
+            self._trail.visible = len(trail) > 1  # empty at the beginning of a recording
         self._shown = (track.pose, mark)
 
 
 class PageScene:
-    """What one page shows in three dimensions; `update` moves it. Used by one thread at a time."""
+    """The 3-D scene of one page. Used by one thread at a time."""
 
     def __init__(
         self, client: viser.ClientHandle, profile: RobotProfile, config: Config, *, is_phone: bool
@@ -186,7 +187,7 @@ class PageScene:
             self._arms[arm].update(track, measured.joints)
 
     def update_chunk(self, measured: MeasuredTopics, now_s: float) -> None:
-        """Show where the running chunk leads the TCP; `now_s` as of `Source.now_s`."""
+        """Show the predicted path of the running chunk; `now_s` as `Source.now_s`."""
         chunk = measured.chunk
         if chunk is not None and chunk.is_over(now_s):
             chunk = None
@@ -199,7 +200,7 @@ class PageScene:
             scene.show_path(paths.get(arm))
 
     def update_limit(self, state: PageState) -> None:
-        """Show the limit that acts at its place: at a joint, a zone, the workspace or the TCP."""
+        """Show the limit that acts, at its joint, zone, workspace box or TCP."""
         if (state.limits, state.limit) == self._limited:
             return
         self._limited = state.limits, state.limit
@@ -219,7 +220,7 @@ class PageScene:
         self._limit.position = self._limit_position(place)
 
     def _limit_position(self, place: LimitPlace) -> F64:
-        """Where the name of the limit stands [m]."""
+        """Position of the name of the limit [m]."""
         if place.zones:
             return np.asarray(self._boxes[place.zones[0]][0].position, dtype=np.float64)
         if place.joints and self._model is not None:
@@ -230,7 +231,9 @@ class PageScene:
         return beside
 
     def _show_ghost(self, measured: MeasuredTopics) -> None:
-        """Show the posture that was commanded last, where it is another than the measured one."""
+        """Show the robot at the commanded joint positions, if they differ from the measured
+        ones.
+        """
         self._measured = measured.joints
         if self._model is None or not measured.commanded or not measured.joints:
             if self._ghost is not None:
@@ -262,7 +265,7 @@ class PageScene:
         self._ghost.update_cfg(self._model.configuration(posture))
 
     def show_picture(self, camera: str, pixels: NDArray[np.uint8]) -> None:
-        """Show a picture at the pose of its camera."""
+        """Show an image at the pose of its camera."""
         if camera in self._pictures:
             self._pictures[camera].image = pixels
 
@@ -288,7 +291,7 @@ class PageScene:
         )
 
     def _mount(self, mount: str) -> str:
-        """Scene path of the frame that a camera is mounted on, with a trailing "/"."""
+        """Scene path of the frame on which a camera is mounted, with a trailing "/"."""
         if mount == "base":
             return "/cameras/"
         arm = mount.removesuffix("tcp").removesuffix("/") or next(iter(self._arms))
@@ -300,7 +303,7 @@ class PageScene:
             lower, upper = limits.lower_m, limits.upper_m
             edges = _edges(lower, upper)
             self._workspace = _add_lines(self._scene, "/workspace", edges, _BOX_RGB, width_px=1.5)
-            # the corner beside which there is room, on a phone too
+            # a corner with space for the text, on a phone too
             behind = np.array([lower[0], upper[1], upper[2]])
             self._scene.add_label(
                 "/workspace/label", "workspace of the TCP", position=behind, font_screen_scale=0.8
