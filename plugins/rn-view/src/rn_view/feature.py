@@ -1,4 +1,4 @@
-"""The feature: the live view in the server's process."""
+"""The feature `view`: starts the live view in the server's process."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ if TYPE_CHECKING:
     from rn_view.web.view_server import ViewServer
 
 HEARTBEAT = "heartbeat"
-"""Of rn-serve-http: it only renews the lease."""
+"""Tool of the feature `http` that only renews the lease."""
 
 
 class ViewFeature(Feature[ViewOptions]):
-    """Serves the page when `[view] enabled` says so."""
+    """Serves the page if `[view] enabled` is true."""
 
     viewer: ViewServer | None = None
     _shared: _SharedPage | None = None
@@ -45,13 +45,13 @@ class ViewFeature(Feature[ViewOptions]):
             check_address(self.options, read_tokens(http.tokens, os.environ))
 
     def reserve(self, config: Config) -> None:
-        """Refuse to start while another server serves its page on this port."""
+        """Reserve the port. Refuses while another process listens on it."""
         if self.options.enabled:
             http = HttpOptions.of(config)
             check_port(self.options, read_tokens(http.tokens, os.environ))
 
     def tools(self, host: Host) -> Sequence[Tool]:
-        """No tools; starts to listen to the server's events."""
+        """Add no tools, but listen to the server's events."""
         if self.options.enabled:
             self._source = ServerSource(host)
             host.events.health.listen(self._source.on_health)
@@ -60,13 +60,13 @@ class ViewFeature(Feature[ViewOptions]):
             host.tools.admissions.append(pictures.admit)
             host.events.call.listen(pictures.on_call)
             calls = ToolCalls(self._source.shown_events, partial(_is_quiet, host))
-            # not there before
+            # the server exists only then
             host.events.open.listen(lambda: host.server.middleware.append(calls))
         return ()
 
     def start(self, host: Host) -> None:
-        """Serve the page; robots with the same address share one page, on which the robot can be
-        chosen.
+        """Serve the page. Robots with the same address share one page with a choice of the
+        robot.
         """
         if not self.options.enabled:
             return
@@ -76,7 +76,7 @@ class ViewFeature(Feature[ViewOptions]):
             rules=host_rules(self.options, http.options),
         )
         operator = ServerOperator(host, http.lease)
-        with contextlib.suppress(RuntimeError):  # not called by a server that serves
+        with contextlib.suppress(RuntimeError):  # not called by a serving server
             operator.loop = from_thread.run_sync(asyncio.get_running_loop)
         self._shared = _SharedPage.join(
             self.options, host.config.namespace, self._source, admission, operator
@@ -84,7 +84,7 @@ class ViewFeature(Feature[ViewOptions]):
         self.viewer = self._shared.viewer
 
     def close(self) -> None:
-        """Close the page: the first of the robots that share it does so, as the server is
+        """Close the page. The first of the robots that share it closes it, because the server is
         closing.
         """
         if self._shared is not None:
@@ -92,8 +92,8 @@ class ViewFeature(Feature[ViewOptions]):
 
 
 class _SharedPage:
-    """The page of all robots of this process whose configuration names the same address: it can be
-    bound only once.
+    """Page of all robots of this process with the same configured address, which can be bound only
+    once.
     """
 
     _in_use: ClassVar[dict[tuple[str, int], _SharedPage]] = {}
@@ -112,7 +112,7 @@ class _SharedPage:
         admission: ViewAccess,
         operator: ServerOperator,
     ) -> _SharedPage:
-        """The page at that address; it also shows this robot from now on."""
+        """Add a robot to the page at its address; creates the page for the first."""
         from rn_view.web.view_server import ViewServer  # heavy
 
         address = options.host, options.port

@@ -1,5 +1,5 @@
-"""A view of a robot that another process serves: from the ROS graph, the emergency stop's file and
-the audit.
+"""Source of a view beside a server: the ROS graph, the file of the emergency stop, and the
+audit.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ M = TypeVar("M")
 
 
 class ViewNode:
-    """The view's place in the ROS graph, one for all robots; `open` joins it.
+    """The view's connections to the ROS graph, shared by all robots; made by `open`.
 
     Args:
-        state_directory: of the server that is looked at.
+        state_directory: of the server.
     """
 
     def __init__(self, state_directory: Path) -> None:
@@ -47,15 +47,15 @@ class ViewNode:
 
 
 class AttachedSource:
-    """Source of a view in a process of its own. It publishes nothing; its stop is the file that
-    every module looks at.
+    """Source of a view in a process of its own. It publishes nothing. Its stop is the file that
+    every module polls.
 
     Args:
-        config: of the server that is looked at.
-        registry: the plugins installed here; the robot's must be among them.
-        state_directory: of that server; with several robots the folder of this one.
-        graph: open as long as somebody looks; whoever made it opens and closes it.
-        is_one_of_several: what other robots report is not of this one.
+        config: of the server.
+        registry: plugins installed here; must include the robot's.
+        state_directory: of the server; with several robots the folder of this one.
+        graph: connections to ROS; the caller opens and closes them.
+        is_one_of_several: ignore the modules of other robots.
     """
 
     label = "attached"
@@ -132,16 +132,16 @@ class AttachedSource:
         return link.follow(message_type, place, callback)
 
     def press_stop(self, who: str) -> str:
-        """See Source: writes the file that `roboneuron estop` writes."""
+        """See Source. Writes the same file as `roboneuron estop`."""
         latch = estop.EmergencyStopLatch.in_directory(self._state_directory)
         audit = AuditLog.in_directory(self._state_directory)
         latch.latch(who=who, reason="pressed in the attached view", audit=audit)
         audit.close()
-        return "Latched in the file that every module looks at 50 times a second."
+        return "Latched in the file that every module reads 50 times a second."
 
     def _modules(self) -> tuple[ReportedModule, ...]:
-        """Modules of this robot. A server of one robot may run another robot than the configuration
-        names; its modules are shown then.
+        """Modules of this robot. With one robot, the server may run another one than configured;
+        then the modules of that robot are shown.
         """
         found = self._graph.diagnostics.read_status()
         own = [status for status in found if status.namespace == self._config.namespace]

@@ -89,7 +89,7 @@ def test_the_same_alarm_is_counted_until_it_is_acknowledged(kept: Kept) -> None:
         ({"verdict": "latched", "who": "ann"}, (STOP, "pressed", False)),
         (
             {"verdict": "restored", "who": "server"},
-            (STOP, "its file vanished, written again", False),
+            (STOP, "its file was deleted; written again", False),
         ),
         ({"verdict": "refused", "who": "agent"}, None),
         ({"verdict": "allowed", "who": "agent"}, None),

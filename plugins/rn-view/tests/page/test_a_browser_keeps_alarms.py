@@ -93,7 +93,7 @@ def test_a_person_takes_the_robot_out_of_service_and_puts_it_back(
 ) -> None:
     page = look(serve().url)
     page.get_by_role("button", name="Maintenance").click()
-    page.get_by_role("textbox", name="Why").fill("new <cable>")
+    page.get_by_role("textbox", name="Reason").fill("new <cable>")
     page.keyboard.press("Enter")
     page.get_by_role("button", name="Out of service").wait_for()
     page.get_by_text("took the robot out of service: new <cable>").wait_for()
@@ -123,7 +123,7 @@ def test_past_tasks_are_listed_with_their_pictures_and_rates(
     ]
     shown = page.get_by_role("img", name="Camera at the end")
     wait_until(lambda: shown.evaluate("one => one.naturalWidth") == 32)
-    assert page.get_by_text("no picture of the beginning").count() == 2
+    assert page.get_by_text("no picture of the start").count() == 2
 
 
 def test_rates_and_the_limit_that_acts_are_seen_at_a_glance(

@@ -71,7 +71,7 @@ def test_without_a_token_there_is_nothing_but_the_stop(serve, look, source):
     assert source.stopped.wait(60)
 
     page.get_by_role("textbox").first.fill(VIEWER[0])
-    page.get_by_text("Look", exact=True).click()
+    page.get_by_text("Show the robot", exact=True).click()
     page.get_by_text("Instruction:").wait_for()
     assert page.get_by_text("Give the instruction").count() == 0  # a viewer has no buttons
     assert source.subscribed

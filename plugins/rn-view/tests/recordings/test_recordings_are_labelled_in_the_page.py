@@ -129,7 +129,7 @@ def test_another_recording_is_shown_as_it_was_labelled_and_a_refusal_is_told(
     page.get_by_role("button", name="Save the label").click()
     page.get_by_text("ann operates the robot").wait_for()
     page.get_by_role("button", name="Become the operator").click()
-    page.get_by_text("You operate the robot now. Save the label.").wait_for()
+    page.get_by_text("You are the operator now. Save the label.").wait_for()
     recorded.refusal = ""
     page.get_by_role("button", name="Save the label").click()
     page.get_by_text("Saved: 20260101-070000-first").wait_for()

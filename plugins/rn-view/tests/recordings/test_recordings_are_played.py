@@ -192,7 +192,7 @@ def test_the_command_says_what_is_missing(tmp_path: Path, monkeypatch: pytest.Mo
 
     with pytest.raises(InvalidInputError, match="No run begins with 'monday'"):
         run(["--run", "monday", "--directory", str(tmp_path)])
-    with pytest.raises(ConfigurationError, match="goes with --run"):
+    with pytest.raises(ConfigurationError, match="needs --run"):
         run(["--directory", str(tmp_path)])
     monkeypatch.setitem(__import__("sys").modules, "rn_recorder_runs.command", None)
     with pytest.raises(MissingDependencyError, match="not installed"):

@@ -135,7 +135,7 @@ def leading(serve, source) -> tuple[str, PageClient]:
     url = serve().url
     page = PageClient(url)
     wait_until(lambda: SWITCH in page.labels and "joint_states" in source.subscribed)
-    assert ask(url) == (409, {"text": "Nobody leads this robot from the page"})
+    assert ask(url) == (409, {"text": "No page leads this robot"})
     source.send("joint_states", joints(**HOME))
     page.choose(SWITCH, True)
     wait_until(lambda: ask(url)[0] == 200)
@@ -151,7 +151,10 @@ def test_the_sliders_of_a_page_are_served_while_it_is_open(serve, source) -> Non
         lambda: ask(url)[1]["positions"]["turn"] == pytest.approx(math.radians(20.0)),
     )
     assert ask(url)[1]["positions"]["lift"] == pytest.approx(HOME["lift"])
-    assert ask(url, "other") == (404, {"text": "There is no robot 'other'; the view has twolink"})
+    assert ask(url, "other") == (
+        404,
+        {"text": "There is no robot 'other'; this view shows twolink"},
+    )
     page.choose(SWITCH, False)
     wait_until(lambda: ask(url)[0] == 409)
     page.choose(SWITCH, True)
@@ -184,14 +187,14 @@ def test_a_viewer_has_no_sliders_and_a_token_is_needed_to_read_them(serve, sourc
     page = PageClient(url)
     wait_until(lambda: "Token" in page.labels)
     page.choose("Token", VIEWER[0])
-    page.choose("Look", True)
+    page.choose("Show the robot", True)
     wait_until(lambda: "lift the" in page.text)
     assert SWITCH not in page.labels
     page.close()
     page = PageClient(url)
     wait_until(lambda: "Token" in page.labels)
     page.choose("Token", OPERATOR[0])
-    page.choose("Look", True)
+    page.choose("Show the robot", True)
     wait_until(lambda: SWITCH in page.labels)
     source.send("joint_states", joints(**HOME))
     page.choose(SWITCH, True)

@@ -98,7 +98,7 @@ def test_the_audit_names_whoever_looks_in_that_browser(serve, source):
     wait_until(lambda: "Token" in page.labels)
     ask_stop(url, Cookie=cookie)
     page.choose("Token", "0123456789abcdef")
-    page.choose("Look", True)
+    page.choose("Show the robot", True)
     wait_until(lambda: "lift the" in page.text)
     ask_stop(url, Cookie=cookie)
     ask_stop(url, Cookie="roboneuron_view=another-cookie-0123456789")
@@ -142,7 +142,7 @@ def test_pages_without_a_token_take_no_place_of_those_with_one(serve, monkeypatc
     page = PageClient(url)
     wait_until(lambda: "Token" in page.labels)
     page.choose("Token", "0123456789abcdef")
-    page.choose("Look", True)
+    page.choose("Show the robot", True)
     wait_until(lambda: "lift the" in page.text)
     for one in [*anonymous, page]:
         one.close()

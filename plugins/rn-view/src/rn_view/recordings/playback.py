@@ -1,6 +1,4 @@
-"""Where a recording is being played: position, speed, play and pause. All pages see the same
-moment.
-"""
+"""Playback state of a recording: position, speed, play and pause. All pages share it."""
 
 from __future__ import annotations
 
@@ -10,17 +8,17 @@ from dataclasses import dataclass
 
 SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
 _BACK_S = 0.5
-"""Going back from so little after a mark leads to the one before it, so that a second press gets on
-while it plays.
+""""Previous" skips a mark that was passed less than this ago, so that pressing it again goes
+further back during playback.
 """
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Mark:
-    """A moment that one may want to see.
+    """A moment to jump to.
 
     Attributes:
-        at_s: since the beginning of the recording [s].
+        at_s: time since the start of the recording [s].
         text: what happened.
     """
 
@@ -29,11 +27,11 @@ class Mark:
 
 
 class Playback:
-    """Position in a recording, moved by `advance`. Every method may be called from any thread.
+    """Position in a recording, moved by `advance`. Methods may be called from any thread.
 
     Args:
-        title: which recording.
-        begun_s: wall-clock time of its beginning [s].
+        title: name of the recording.
+        begun_s: wall-clock time of its start [s].
         duration_s: its length [s].
         marks: moments to jump to, oldest first.
     """
@@ -54,7 +52,7 @@ class Playback:
 
     @property
     def position_s(self) -> float:
-        """Position since the beginning of the recording [s]."""
+        """Position: time since the start of the recording [s]."""
         return self._position_s
 
     @property
@@ -64,11 +62,11 @@ class Playback:
 
     @property
     def speed(self) -> float:
-        """Seconds of the recording per second."""
+        """Speed: seconds of the recording per second of real time."""
         return self._speed
 
     def play(self, *, speed: float | None = None) -> None:
-        """Play, from the beginning if the end was reached; `speed` is kept for later."""
+        """Play; from the start if the end was reached. `speed` also holds from now on."""
         with self._lock:
             if self._position_s >= self.duration_s:
                 self._position_s, self._jumped = 0.0, True
@@ -80,18 +78,18 @@ class Playback:
         self._is_playing = False
 
     def set_speed(self, speed: float) -> None:
-        """Set the speed, also while playing."""
+        """Set the speed; allowed while playing."""
         self._speed = speed
 
     def seek(self, position_s: float) -> None:
-        """Jump to a position; one outside the recording becomes its nearer end."""
+        """Jump to a position, clipped to the recording."""
         with self._lock:
             self._position_s = min(max(0.0, position_s), self.duration_s)
             self._jumped = True
 
     def seek_mark(self, step: int) -> Mark | None:
-        """Jump to the next mark (1) or the previous one (-1); None, without a jump, when there is
-        none.
+        """Jump to the next mark (1) or the previous one (-1) and pause. Returns the mark; None,
+        without a jump, if there is none.
         """
         here_s = self._position_s
         if step > 0:
@@ -106,8 +104,8 @@ class Playback:
         return found
 
     def advance(self, elapsed_s: float) -> tuple[float, bool]:
-        """Advance by `elapsed_s` of real time; returns the position and whether it was reached by a
-        jump.
+        """Advance by `elapsed_s` of real time. Returns the position, and whether a jump led
+        to it.
         """
         with self._lock:
             jumped, self._jumped = self._jumped, False
@@ -117,15 +115,15 @@ class Playback:
             return self._position_s, jumped
 
     def listen(self, on_jump: Callable[[], None]) -> Callable[[], None]:
-        """Call `on_jump` after a jump, before messages of the new position are delivered; returns a
-        function that ends this.
+        """Call `on_jump` after each jump, before messages of the new position are delivered.
+        Returns a function that ends this.
         """
         self._listeners.append(on_jump)
         with self._lock:
-            self._jumped = True  # who listens from now on has nothing yet
+            self._jumped = True  # the new listener has no messages yet
         return lambda: self._listeners.remove(on_jump)
 
     def tell_jump(self) -> None:
-        """Call the listeners; whoever delivers the messages calls this."""
+        """Call the listeners. The code that delivers the messages calls this."""
         for listener in list(self._listeners):
             listener()

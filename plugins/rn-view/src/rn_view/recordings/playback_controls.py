@@ -1,6 +1,4 @@
-"""The controls of a recording on one page: slider, play and pause, speed, and jumps to what
-happened.
-"""
+"""Controls of a recording on a page: slider, play and pause, speed, jumps to events."""
 
 from __future__ import annotations
 
@@ -15,15 +13,15 @@ if TYPE_CHECKING:
     import viser
 
 _MOST_MARKS = 40
-"""Dots below the slider; of more marks only some would be seen apart."""
+"""Maximum number of dots below the slider; more could not be told apart."""
 _HELD_S = 0.7
-"""After somebody moved the slider it is left alone for so long: it would be pulled from under the
-pointer.
+"""After a person moved the slider, it is not updated for this time, so that it does not move away
+from the pointer.
 """
 
 
 class PlaybackControls:
-    """The controls of one page; `update` shows where the recording is."""
+    """Controls of a recording on one page; `update` shows the present position."""
 
     def __init__(self, gui: viser.GuiApi, playback: Playback) -> None:
         from viser import Icon  # heavy
@@ -70,7 +68,7 @@ class PlaybackControls:
         self._speed.value = f"{playback.speed:g} x"  # type: ignore[misc]
 
     def _on_slider(self, event: viser.GuiEvent[viser.GuiSliderHandle[float]]) -> None:
-        if event.client is not None:  # not this page's own update
+        if event.client is not None:  # moved by a person, not by `update`
             self._moved_s = time.monotonic()
             self._playback.seek(self._slider.value)
 

@@ -31,7 +31,7 @@
   runs.onchange = () => { say(""); choose(); };
   el("rn-label-box").onsubmit = event => {
     event.preventDefault();
-    if (asked) return;  // a disabled button would lose the focus
+    if (asked) return;  // not by disabling the button, which would lose the focus
     const outcome = [...document.getElementsByName("rn-outcome")].find(one => one.checked);
     asked = {run: runs.value, outcome: outcome ? outcome.value : "unknown", comment: el("rn-label-comment").value};
     say("Saving ...");
@@ -40,7 +40,7 @@
   addEventListener("rn-told", event => {
     const told = event.detail;
     if (told.recordings) list(told.recordings);
-    if (told.operates && isOpen()) { el("rn-label-operate").hidden = true; say("You operate the robot now. Save the label."); }
+    if (told.operates && isOpen()) { el("rn-label-operate").hidden = true; say("You are the operator now. Save the label."); }
     if (told.labelled === undefined) return;
     const mine = asked;
     asked = null;
@@ -49,5 +49,5 @@
     say("Saved: " + told.labelled + ", " + mine.outcome + ".", "good");
     rnLead.send({recordings: 1});
   });
-  addEventListener("rn-lost", () => { if (asked) { asked = null; say("The connection is lost. Save it again.", "bad"); } });
+  addEventListener("rn-lost", () => { if (asked) { asked = null; say("The connection is lost. Save the label again.", "bad"); } });
 })();

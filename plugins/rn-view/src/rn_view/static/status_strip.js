@@ -26,7 +26,7 @@
   const act = async (path, then) => {
     say("");
     try { await ask(path); } catch (error) { say(error.message); await look(); return; }
-    await look();  // what is focused then is drawn already
+    await look();  // draws what `then` focuses
     then();
   };
   const button = (text, label, press, name = "") => {
@@ -41,7 +41,7 @@
     const often = alarm.count > 1 ? ", " + alarm.count + " times" : "";
     row.append(make("strong", (alarm.is_warning ? "Warning: " : "Alarm: ") + alarm.source + ", " + alarm.what + often));
     const at = time(alarm.first_s) + (alarm.count > 1 ? " to " + time(alarm.last_s) : "");
-    row.append(make("div", at + (alarm.over_s ? ", over since " + time(alarm.over_s) : ""), "dim"));
+    row.append(make("div", at + (alarm.over_s ? ", normal again since " + time(alarm.over_s) : ""), "dim"));
     row.append(make("div", alarm.cause));
     row.append(make("div", "What to do: " + alarm.advice));
     if (!alarm.is_open) row.append(make("div", "Acknowledged by " + alarm.acknowledged_by + ", " + time(alarm.acknowledged_s), "dim"));
@@ -50,28 +50,28 @@
         act("acknowledge?alarm=" + alarm.number, () => { const next = body.querySelector("li button"); (next || el("rn-records-title")).focus(); }));
       one.dataset.alarm = alarm.number;
       row.append(one);
-    } else row.append(make("div", "An operator acknowledges it.", "dim"));
+    } else row.append(make("div", "Only an operator can acknowledge it.", "dim"));
     return row;
   };
   const drawAlarms = () => {
     const list = make("ul"), held = document.activeElement && document.activeElement.dataset.alarm;
     for (const alarm of state.alarms) list.append(alarmRow(alarm));
-    body.replaceChildren(state.alarms.length ? list : make("p", "Nothing has gone wrong."));
+    body.replaceChildren(state.alarms.length ? list : make("p", "No alarms."));
     const again = held && body.querySelector(`[data-alarm="${held}"]`);
     if (again) again.focus();
   };
   const drawService = () => {
     const out = state.maintenance;
     if (out) {
-      body.replaceChildren(make("p", out + "."), make("p", "Every call that acts is refused, and the emergency stop is latched. Put back in service, the stop is still latched: a person releases it with roboneuron estop --reset, and nothing moves before a new start.", "dim"));
+      body.replaceChildren(make("p", out + "."), make("p", "Every call that acts is refused, and the emergency stop is latched. It stays latched when the robot is put back in service: a person releases it with roboneuron estop --reset. Nothing moves before a new start.", "dim"));
       if (state.may_end) body.append(button("Put back in service", "Put the robot back in service", () =>
         act("maintenance?end=1", () => say("In service. The emergency stop is still latched: release it with roboneuron estop --reset.")), "main"));
-      else body.append(make("p", "Only an admin puts it back in service.", "dim"));
+      else body.append(make("p", "Only an admin can put it back in service.", "dim"));
       return;
     }
-    body.replaceChildren(make("p", "The robot is in service. Out of service nothing moves it, not even after a restart: no agent, no policy, no task."));
-    if (!state.may_operate) { body.append(make("p", "An operator takes it out of service.", "dim")); return; }
-    const form = make("form"), label = make("label", "Why"), why = make("input");
+    body.replaceChildren(make("p", "The robot is in service. While it is out of service, no agent, policy or task can move it, not even after a restart."));
+    if (!state.may_operate) { body.append(make("p", "Only an operator can take it out of service.", "dim")); return; }
+    const form = make("form"), label = make("label", "Reason"), why = make("input");
     why.id = "rn-service-why"; why.maxLength = 200; why.required = true; why.autocomplete = "off";
     label.htmlFor = why.id;
     const send = button("Take out of service", "Take the robot out of service", null, "main");
@@ -81,7 +81,7 @@
     body.append(form);
   };
   const picture = async (place, task, end) => {
-    const number = task.number, text = end ? "end" : "beginning";
+    const number = task.number, text = end ? "end" : "start";
     if (!task.pictures[end]) { place.replaceChildren(make("figcaption", "no picture of the " + text, "dim")); return; }
     const name = number + end;
     if (!pictures.has(name)) {
@@ -109,10 +109,10 @@
   };
   const drawTasks = told => {
     body.replaceChildren();
-    if (!told.tasks.length) { body.append(make("p", "No task has been carried out.")); return; }
+    if (!told.tasks.length) { body.append(make("p", "There are no past tasks.")); return; }
     if (told.rates.length) {
       const table = make("table"), head = make("tr");
-      for (const text of ["model", "words", "succeeded", "95 % interval", "median"]) {
+      for (const text of ["model", "instruction", "succeeded", "95 % interval", "median"]) {
         const cell = make("th", text); cell.scope = "col"; head.append(cell);
       }
       table.append(head);
@@ -122,7 +122,7 @@
           rate.median_s === null ? "" : rate.median_s.toFixed(1) + " s"]) row.append(make("td", text));
         table.append(row);
       }
-      body.append(make("h3", "Success by model and words"), table);
+      body.append(make("h3", "Success rate by model and instruction"), table);
     }
     const list = make("ul");
     for (const task of told.tasks.slice(0, most)) list.append(taskRow(task));
@@ -198,7 +198,7 @@
     }
     strip(); glance();
     if (shown === "alarms" || shown === "service") draw();
-    if (shown === "tasks" && !body.firstChild) { say(""); loadTasks(); }  // it was not answered
+    if (shown === "tasks" && !body.firstChild) { say(""); loadTasks(); }  // the first request failed
   };
   new MutationObserver(() => { const place = el(CONFIG.id); if ((place ? place.dataset.key : "") !== key) look(); })
     .observe(document.getElementById("root"), {childList: true, subtree: true});

@@ -34,7 +34,7 @@
     own.onmessage = event => { if (own === socket) hear(JSON.parse(event.data)); };
     own.onclose = () => {
       if (own !== socket) return;
-      if (leads) say("The connection is lost: the arm brakes. Start again once the page is connected.", "bad");
+      if (leads) say("The connection is lost, and the arm brakes. Start again once the page is connected.", "bad");
       leads = asking = false; socket = null; show();
       dispatchEvent(new CustomEvent("rn-lost"));
     };
@@ -49,7 +49,7 @@
       mayOperate = /take_over/.test(told.text || "");
       show();
     } else if (told.operates) {
-      mayOperate = false; say("You operate the robot now. Lead the arm when you are ready."); show();
+      mayOperate = false; say("You are the operator now. Lead the arm when you are ready."); show();
     } else if (told.echo) {
       const [count, who, limits, note] = told.echo, at = sent.get(count);
       for (const old of sent.keys()) if (old <= count) sent.delete(old);
@@ -66,7 +66,7 @@
   };
   const begin = mode => {
     asking = true; show(); delays = [];
-    say("Asking for the arm ...");
+    say("Requesting the arm ...");
     send({begin: {mode, scale: el("rn-lead-scale").value / 100}});
   };
   el("rn-lead-open").onclick = () => { lead.classList.add("open"); show(); el("rn-lead-go").focus(); };

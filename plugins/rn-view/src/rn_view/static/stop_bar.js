@@ -20,7 +20,7 @@
         show("latched", told.text);
         return;
       } catch (error) {
-        show("lost", "NOT STOPPED FROM HERE: " + error.message + ". Use the robot's own stop. Trying again ...");
+        show("lost", "NOT STOPPED BY THIS PAGE: " + error.message + ". Use the robot's own stop. Retrying ...");
         await wait(300);
       }
     }
@@ -32,9 +32,9 @@
       failures = 0;
       if (pressing) return;
       const names = Object.keys(latched), held = names.filter(name => latched[name]);
-      const which = names.length > 1 ? " of " + held.join(", ") : "";
+      const which = names.length > 1 ? ": " + held.join(", ") : "";
       if (!held.length) show("", CONFIG.ready);
-      else show("latched", "STOPPED" + which + ". A person releases it with: roboneuron estop --reset");
+      else show("latched", "STOPPED" + which + ". A person releases the stop with: roboneuron estop --reset");
     } catch (error) {
       if (++failures > 2 && !pressing)
         show("lost", "No connection to the server (" + error.message + "). Use the robot's own stop.");
@@ -50,7 +50,7 @@
   }, true);
   const label = () => {
     for (const one of document.querySelectorAll(".mantine-Notification-closeButton:not([aria-label])"))
-      one.setAttribute("aria-label", "Close this notice");
+      one.setAttribute("aria-label", "Close this notification");
     for (const one of document.querySelectorAll("#root button.mantine-ActionIcon-root:not([aria-label])"))
       one.setAttribute("aria-label", "Settings of the view");
     for (const one of document.querySelectorAll("#root input:not([aria-label]), #root textarea:not([aria-label])")) {

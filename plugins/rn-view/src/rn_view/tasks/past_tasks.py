@@ -17,7 +17,7 @@ KEPT = 200
 
 
 class PastTasks:
-    """Tasks and pictures in a state directory; thread-safe."""
+    """Past tasks and their pictures, in a state directory; thread-safe."""
 
     def __init__(self, state_directory: Path) -> None:
         self._history = TaskHistory(state_directory)
@@ -60,13 +60,13 @@ class PastTasks:
     def keep(
         self, instruction: str, before: Set[str], first: bytes | None, last: bytes | None
     ) -> None:
-        """Keep pictures of a task that has ended, and delete the oldest of others.
+        """Store the pictures of a task that has ended, and delete the oldest pictures.
 
         Args:
-            instruction: its words.
-            before: numbers of the tasks before it. If no other has these words, the call was no
-                task, such as a preview or one that was refused, and nothing is kept.
-            first, last: JPEG, if there is one.
+            instruction: instruction of the task.
+            before: numbers of the tasks before it. If no other task has this instruction, the call
+                made no task, as a preview or a refused call, and nothing is stored.
+            first, last: JPEG of the start and the end, if any.
         """
         words = instruction.strip()
         tasks = (one for one in self.newest() if one.number not in before)

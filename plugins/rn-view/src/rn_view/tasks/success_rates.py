@@ -18,14 +18,13 @@ _JUDGED = ("succeeded", "failed", "timed_out")
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SuccessRate:
-    """How often a model succeeded with one instruction.
+    """Success rate of a model with one instruction.
 
     Attributes:
-        model, instruction: as of the tasks.
-        succeeded, judged: tasks that ended by themselves; stopped, taken-over and unclear ones are
-            in neither.
-        low, high: 95 % Wilson score interval of the proportion.
-        median_s: of the successful ones [s]; None without any.
+        model, instruction: of the tasks; the instruction in lower case.
+        succeeded, judged: number of tasks. Stopped, taken-over and unclear tasks are in neither.
+        low, high: 95 % Wilson score interval of the success rate.
+        median_s: median time of the successful tasks [s]; None without any.
     """
 
     model: str
@@ -38,7 +37,7 @@ class SuccessRate:
 
 
 def success_rates(tasks: Sequence[ShownTask]) -> list[SuccessRate]:
-    """Rates by model and words, those with the most tasks first.
+    """Success rates by model and instruction, those with the most tasks first.
 
     Source of the interval: E. B. Wilson, J. Am. Stat. Assoc. 22 (1927), 209.
     """

@@ -25,26 +25,31 @@ _PICTURE_S = 2.0
 
 
 class Camera(Protocol):
-    """Calls a function with each picture of the main camera; returns what ends that."""
+    """Calls a function with each image of the main camera; returns a function that ends this."""
 
     def __call__(self, on_image: Callable[[Image], None]) -> Callable[[], None]: ...
 
 
 @dataclass(slots=True)
 class _Begun:
-    """A call of run_task: numbers of the tasks before it, and its first picture as JPEG."""
+    """A call of run_task that has started.
+
+    Attributes:
+        before: numbers of the tasks before it.
+        picture: JPEG of its start, if any.
+    """
 
     before: set[str] = field(default_factory=set)
     picture: bytes | None = None
 
 
 class TaskPictures:
-    """Takes a picture when a task begins and when it ends, each on a thread of its own; nothing is
+    """Takes a picture when a task starts and when it ends, each in its own thread. Nothing is
     subscribed to in between.
 
     Args:
-        tasks: where they go.
-        camera: of the robot; None without one.
+        tasks: stores the pictures.
+        camera: returns the main camera; None if the robot has none.
     """
 
     def __init__(self, tasks: PastTasks, camera: Callable[[], Camera | None]) -> None:
@@ -53,7 +58,7 @@ class TaskPictures:
         self._threads: list[threading.Thread] = []
 
     def admit(self, tool: Tool[Any], context: CallContext) -> None:
-        """Look at a call that begins; refuses nothing."""
+        """Admission check of tool calls. It refuses none; it notes the start of a task."""
         if tool.name == TASK_TOOL:
             begun = self._begun = _Begun()
             self._start(lambda: self._begin(begun))
@@ -67,7 +72,7 @@ class TaskPictures:
             self._start(lambda: self._finish(instruction, begun))
 
     def join(self, timeout_s: float) -> None:
-        """Wait for pictures that are being taken."""
+        """Wait for the pictures being taken, at most `timeout_s` for each."""
         for thread in self._threads:
             thread.join(timeout_s)
 
@@ -86,10 +91,10 @@ class TaskPictures:
         try:
             self._tasks.keep(instruction, begun.before, begun.picture, last)
         except OSError as error:
-            log.error("Pictures of a task cannot be kept: %s", error)
+            log.error("Cannot store the pictures of a task: %s", error)
 
     def _take(self) -> bytes | None:
-        """One picture as JPEG; None when none comes."""
+        """Take one picture as JPEG; None if no image arrives in time."""
         found: list[Image] = []
         news = threading.Event()
 
@@ -109,12 +114,12 @@ class TaskPictures:
                 end()
             return jpeg(found[0]) if found else None
         except (RoboNeuronError, ValueError) as error:
-            log.warning("A task has no picture: %s", error)
+            log.warning("Cannot take a picture of a task: %s", error)
             return None
 
 
 def jpeg(message: Image) -> bytes:
-    """An image message as a JPEG of at most 320 px of width."""
+    """Encode an image message as JPEG, at most 320 px wide."""
     from PIL import Image as Pillow  # heavy
 
     picture = Pillow.fromarray(np.ascontiguousarray(image_pixels(message)))

@@ -1,4 +1,4 @@
-"""The websocket of a page that leads: its samples become those of a teleoperator."""
+"""Websocket of a page that leads: its samples feed a teleoperator."""
 
 from __future__ import annotations
 
@@ -24,20 +24,22 @@ from roboneuron import InvalidInputError, NotReadyError, RoboNeuronError
 
 log = logging.getLogger(__name__)
 Call = Callable[[str, dict[str, object]], "Future[str]"]
-"""Calls a tool as whoever looks at the page; the text of its failure, empty for none."""
+"""Calls a tool as the holder of the page; the future gives the error text, empty on success."""
 Fetch = Callable[[str], "Future[Mapping[str, object]]"]
-"""Calls a tool that only reads, without arguments; what it says, empty when it fails."""
+"""Calls a tool that only reads, without arguments; the future gives its result, empty on
+failure.
+"""
 _ECHO_S = 0.04
 _MOST_HZ = 6 * RATE_HZ
-"""A page that sends more is none of ours."""
+"""Maximum number of messages a second; a page of this package sends fewer."""
 _MOST_CHARACTERS = 2000
 _REFUSED, _FLOODED = 4401, 1008
-"""Codes with which a websocket is closed. Source of the second: RFC 6455, 7.4.1."""
-_AGAIN = "Open the page and lead again."
+"""Close codes of the websocket. Source of the second: RFC 6455, 7.4.1."""
+_AGAIN = "Open the page and start to lead again."
 
 
 class PageTeleoperator:
-    """The newest sample of a page; follows `Teleoperator` and `ToldTeleoperator`."""
+    """Newest sample of a page; implements `Teleoperator` and `ToldTeleoperator`."""
 
     def __init__(self) -> None:
         self._news = threading.Condition()
@@ -47,7 +49,7 @@ class PageTeleoperator:
         self.on_news: Callable[[dict[str, object]], object] = lambda news: None
 
     def open(self, subscribe: Subscribe) -> None:
-        """Start anew. Raises NotReadyError when the page is not connected."""
+        """Discard old samples. Raises NotReadyError if the page is not connected."""
         with self._news:
             if isinstance(self._error, NotReadyError):
                 raise self._error
@@ -79,13 +81,13 @@ class PageTeleoperator:
             self._error, self._offset_s = None, math.inf
 
     def lost(self, why: str) -> None:
-        """Called when the page is gone."""
+        """Called when the page has disconnected."""
         with self._news:
             self._error = NotReadyError(f"{why}; the arm rests.", hint=_AGAIN)
             self._news.notify_all()
 
     def put(self, told: dict[str, Any], now_s: float) -> None:
-        """Take a message of the page; one that cannot be understood ends its lead.
+        """Handle a message of the page. An invalid one ends its lead.
 
         Args:
             told: the decoded JSON.
@@ -94,9 +96,9 @@ class PageTeleoperator:
         try:
             sample = self._sample_of(told, now_s)
         except (KeyError, TypeError, ValueError) as error:
-            text = f"The page has sent what is no sample ({type(error).__name__})"
+            text = f"The page has sent an invalid sample ({type(error).__name__})"
             with self._news:
-                self._error = InvalidInputError(f"{text}; the arm rests.", hint="Load it again.")
+                self._error = InvalidInputError(f"{text}; the arm rests.", hint="Reload the page.")
                 self._news.notify_all()
             return
         with self._news:
@@ -104,8 +106,8 @@ class PageTeleoperator:
             self._news.notify_all()
 
     def _sample_of(self, told: dict[str, Any], now_s: float) -> LeadSample:
-        """The sample, with its time on our clock: the offset between the clocks is that of the
-        message with the least delay so far.
+        """Convert a message, with its time on our monotonic clock. The offset between the clocks is
+        that of the message with the least delay so far.
         """
         sent_s = _number(told["t"])
         self._offset_s = min(self._offset_s, now_s - sent_s)
@@ -124,20 +126,20 @@ class PageTeleoperator:
 
 
 class LeadSockets:
-    """The pages that may lead, by the keys of their websockets; usable from any thread."""
+    """Websockets of the pages that may lead, by key; usable from any thread."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._sockets: dict[str, _LeadSocket] = {}
 
     def add(self, name: str, source: PageTeleoperator, call: Call, fetch: Fetch) -> str:
-        """Let a page lead; returns its key.
+        """Permit a page to lead; returns its key.
 
         Args:
-            name: name of its teleoperator.
-            source: gets its samples.
+            name: of its teleoperator.
+            source: receives its samples.
             call: calls a tool for it.
-            fetch: reads from a tool for it.
+            fetch: calls a tool that only reads for it.
         """
         key = secrets.token_urlsafe(24)
         with self._lock:
@@ -152,7 +154,7 @@ class LeadSockets:
             socket.source.lost("The page was closed")
 
     def is_asked(self, connection: ServerConnection) -> bool:
-        """Whether this websocket is one of a page that leads."""
+        """Whether this websocket is for samples of a page, not one of viser."""
         request = connection.request
         return request is not None and urlsplit(request.path).path == SOCKET_PATH
 
@@ -163,13 +165,13 @@ class LeadSockets:
         with self._lock:
             socket = self._sockets.get(key)
         if socket is None or socket.is_taken:
-            await connection.close(_REFUSED, "This page may not lead.")
+            await connection.close(_REFUSED, "This page may not lead the arm.")
             return
         await socket.serve(connection)
 
 
 class _LeadSocket:
-    """One page that may lead."""
+    """Websocket of one page that may lead."""
 
     def __init__(self, name: str, source: PageTeleoperator, call: Call, fetch: Fetch) -> None:
         self.source = source
@@ -189,9 +191,9 @@ class _LeadSocket:
         try:
             await self._receive(connection)
         except ConnectionClosed:
-            log.debug("The page %s is gone.", self._name)
+            log.debug("The page %s has disconnected.", self._name)
         finally:
-            self.source.lost("The page is gone")
+            self.source.lost("The page has disconnected")
             sending.cancel()
             self.is_taken = False
 
@@ -202,7 +204,7 @@ class _LeadSocket:
             count = count + 1 if int(now_s) == second else 1
             second = int(now_s)
             if count > _MOST_HZ or len(message) > _MOST_CHARACTERS:
-                self.source.lost("The page sends too much")
+                self.source.lost("The page sends too many or too large messages")
                 await connection.close(_FLOODED, "Too many messages.")
                 return
             try:
@@ -267,9 +269,7 @@ class _LeadSocket:
             loop.call_soon_threadsafe(self._put, news)
 
     def _put(self, news: dict[str, object]) -> None:
-        """Queue a message to the page; of echoes that come close together only the newest is
-        sent.
-        """
+        """Queue a message to the page. Of echoes within 40 ms only the newest is sent."""
         if "echo" not in news:
             self._out.put_nowait(news)
             return
@@ -288,12 +288,12 @@ class _LeadSocket:
             while True:
                 await connection.send(json.dumps(await self._out.get()))
         except ConnectionClosed:
-            log.debug("The page %s does not listen.", self._name)
+            log.debug("The page %s has disconnected while receiving.", self._name)
 
 
 def _number(value: object) -> float:
-    """A number from JSON; null is NaN, which JavaScript writes so. Raises TypeError for anything
-    else.
+    """Number from JSON; null is NaN, because JavaScript writes NaN as null. Raises TypeError for
+    other types.
     """
     if value is None:
         return math.nan

@@ -1,7 +1,7 @@
-"""A person leads an arm from a page: the joint positions they want, approached at a bounded speed.
+"""Joint goal that a person sets with sliders, approached at a bounded speed.
 
-Nothing is sent to the robot from here. The goal is served to whoever asks for it, for instance
-lerobot's teleoperator, whose actions pass control like any others.
+Nothing is sent to the robot from here. Programs poll the goal (`LEAD_PATH`), for instance lerobot's
+teleoperator, whose actions pass control like any others.
 """
 
 from __future__ import annotations
@@ -13,23 +13,23 @@ from collections.abc import Callable, Mapping
 from roboneuron import NotReadyError, RefusedError, RobotProfile
 
 LEAD_PATH = "/lead"
-"""GET: the goal of whoever leads, as JSON with `positions` by joint [rad or m]; `?robot=NAME`."""
+"""GET: the present goal, as JSON with `positions` by joint [rad or m]; `?robot=NAME`."""
 RENEWED_S = 1.5
-"""A page that has not proved for so long that it is there leads no more."""
+"""A page that has not answered for this time stops leading."""
 _SPEED_SHARE = 0.25
-"""Of the robot's own limit: a slider jumps, and an arm that follows it must not."""
+"""Share of the robot's velocity limits: a slider may jump, the arm must not."""
 _GRIPPER_S = 1.5
-"""Time from open to closed."""
+"""Time for a full opening or closing."""
 _MOST_AHEAD = 0.1
-"""Largest distance of the goal from the arm [rad or m]: what control holds back is not caught up
-with at once. Below the 0.3 that control refuses.
+"""Maximum distance of the goal from the arm [rad or m], so that the arm does not catch up at once
+after control held it back. Below the 0.3 that control refuses.
 """
 _MOST_STEP_S = 0.1
-"""A goal that nobody asked for during a pause goes on as if the pause had been so long."""
+"""Maximum time step of the goal, also after a pause in the requests."""
 
 
 class SliderGoal:
-    """Who leads one robot, and to where; usable from any thread.
+    """Joint goal of one robot, and the page that leads it; usable from any thread.
 
     Attributes:
         bounds: lowest and highest position by joint [rad or m], arms first, then grippers.
@@ -37,7 +37,7 @@ class SliderGoal:
 
     def __init__(self, profile: RobotProfile, clock: Callable[[], float] = time.monotonic) -> None:
         """Args:
-        profile: profile of the robot; one without limits cannot be led.
+        profile: of the robot. A robot without limits cannot be led.
         clock: monotonic [s].
         """
         self._clock = clock
@@ -61,11 +61,11 @@ class SliderGoal:
             self._speeds[gripper.joint] = (ends[1] - ends[0]) / _GRIPPER_S
 
     def begin(self, who: object, measured: Mapping[str, float]) -> dict[str, float]:
-        """Begin to lead, from the measured positions; returns them by joint.
+        """Start to lead from the measured positions, which are returned by joint.
 
         Raises:
             RefusedError: another page leads.
-            NotReadyError: a joint is not measured.
+            NotReadyError: a joint has no measurement.
         """
         absent = [joint for joint in self.bounds if joint not in measured]
         if absent:
@@ -85,7 +85,7 @@ class SliderGoal:
             return dict(self._aims)
 
     def aim(self, who: object, joint: str, position: float) -> None:
-        """Set where a joint shall go [rad or m]; ignored unless the page leads."""
+        """Set the target of a joint [rad or m]; ignored unless the page leads."""
         low, high = self.bounds[joint]
         with self._lock:
             if self._leader is who:
@@ -105,16 +105,16 @@ class SliderGoal:
             return self._leader is who and self._is_led()
 
     def end(self, who: object) -> None:
-        """End the lead of this page; there is no goal from now on."""
+        """Stop leading if this page leads; there is no goal then."""
         with self._lock:
             if self._leader is who:
                 self._leader = None
 
     def goal(self, measured: Mapping[str, float]) -> dict[str, float] | None:
-        """Goal by joint on the way to where the person wants the joints; None when nobody leads.
+        """Next goal by joint on the way to the targets; None if no page leads.
 
         Args:
-            measured: by joint [rad or m]; the goal stays near it.
+            measured: position by joint [rad or m]; the goal stays near it.
         """
         with self._lock:
             if not self._is_led():

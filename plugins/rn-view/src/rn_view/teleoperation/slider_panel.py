@@ -1,4 +1,4 @@
-"""The sliders by which a person leads the arm."""
+"""Panel of sliders by which a person leads the arm."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from roboneuron import RoboNeuronError, RobotProfile, robot_space
 
 _TITLE, _SWITCH = "Lead", "Lead with these sliders"
 _HINT = (
-    "For a program that follows this page, such as lerobot's teleoperator. By themselves the "
-    "sliders move nothing."
+    "For a program that follows this page, such as lerobot's teleoperator. Without one "
+    "the sliders move nothing."
 )
 
 
 @dataclass(frozen=True, slots=True)
 class _Slider:
-    """A slider and what its numbers are: position = zero + scale * value."""
+    """A slider with its scale: position = zero + scale * value."""
 
     handle: viser.GuiSliderHandle[float]
     zero: float
@@ -29,15 +29,15 @@ class _Slider:
 
 
 class SliderPanel:
-    """A folder of one page, closed at first.
+    """The panel on one page, collapsed at first.
 
     Args:
-        gui: of the page.
+        gui: viser's elements of the page.
         profile: of the robot.
-        lead: who leads that robot.
-        measured: what is measured now.
-        on_lead: called when this page begins to lead, with what it leads as.
-        tell: shows a title and a text that says why this page does not lead.
+        lead: goal of that robot.
+        measured: returns the present measurements.
+        on_lead: called when this page starts to lead, with the object that leads.
+        tell: shows a title and the reason why this page does not lead.
     """
 
     def __init__(
@@ -61,13 +61,13 @@ class SliderPanel:
         self._switch.on_update(lambda event: self._switched())
 
     def update(self) -> None:
-        """Update the switch when this page has lost the lead."""
+        """Switch off if this page no longer leads."""
         if self._leads and not self._lead.is_led_by(self):
             self._switch.value = False  # type: ignore[misc]
             self._enable(False)
 
     def end(self) -> None:
-        """End the lead: the page is closed."""
+        """Stop leading, because the page is closed."""
         self._lead.end(self)
 
     def remove(self) -> None:
@@ -123,7 +123,7 @@ class SliderPanel:
         slider = _Slider(handle, zero, scale)
 
         def moved(event: viser.GuiEvent[viser.GuiSliderHandle[float]]) -> None:
-            # a value that this program gave it is no wish of a person
+            # moved by a person, not by this program
             if event.client is not None:
                 self._lead.aim(self, joint, zero + scale * float(handle.value))
 
@@ -132,6 +132,6 @@ class SliderPanel:
 
 
 def _slides(profile: RobotProfile) -> set[str]:
-    """Joints with positions in metres."""
+    """Names of the prismatic joints, whose positions are in metres."""
     space = robot_space("joint_position", profile)
     return {channel.name for channel in space.channels if channel.unit == "m"}

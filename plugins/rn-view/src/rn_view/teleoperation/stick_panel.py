@@ -12,22 +12,22 @@ from html import escape
 from rn_view.static import read_static, script_element, style_element
 
 SOCKET_PATH = "/lead/socket"
-"""A websocket; `?key=` of a page that may lead."""
+"""Path of the websocket; `?key=` of a page that may lead."""
 PROTOCOL = "viser-v1"
-"""Subprotocol of that websocket: the server of viser accepts none of another name."""
+"""Subprotocol of that websocket; viser's server accepts no other name."""
 RATE_HZ = 50
 FULL_M_S, FULL_RAD_S, FULL_SHARE = 0.25, 0.8, 0.25
-"""Speed of a stick that is pushed to its end; of a joint as a share of its limit."""
+"""Speed at full deflection of a stick [m/s, rad/s], and of a joint as a share of its limit."""
 _KEY_ID = "rn-lead-key"
 
 
 def key_html(key: str, joints: dict[str, float], *, labels: bool) -> str:
-    """HTML element that tells the page that it may lead and label recordings.
+    """HTML element that permits the page to lead and to label recordings.
 
     Args:
         key: key of its websocket.
-        joints: speed of each joint while its button is held [rad/s, m/s]; empty if the robot cannot
-            be led.
+        joints: speed of each joint while its button is held [rad/s or m/s]; empty if the robot
+            cannot be led.
         labels: whether the page may label recordings.
     """
     told = escape(json.dumps(joints), quote=True)
@@ -38,7 +38,7 @@ def key_html(key: str, joints: dict[str, float], *, labels: bool) -> str:
 
 
 def with_stick_panel(page: str) -> str:
-    """The page with both panels added; they stay hidden until the page may lead or label."""
+    """Add both panels to a page. They are hidden until the page may lead or label."""
     config = {
         "key": _KEY_ID,
         "path": SOCKET_PATH,

@@ -1,4 +1,4 @@
-"""Who looks: the addresses and pages that may connect, and the tokens, all as for HTTP."""
+"""Access to the view: addresses, origins and tokens, as for HTTP."""
 
 from __future__ import annotations
 
@@ -20,25 +20,25 @@ _ANY_ADDRESS = ("0.0.0.0", "::", "")
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ViewAccess:
-    """Who may look, and as whom.
+    """Who may open a page, and as which holder.
 
     Attributes:
-        tokens: of `[[http.tokens]]`; without any, everybody on this machine is let in.
-        rules: hosts and origins of pages.
+        tokens: of `[[http.tokens]]`. Without any, everybody on this machine has access.
+        rules: allowed hosts and origins.
     """
 
     tokens: TokenTable
     rules: HostRules
 
     def visitor(self, number: int) -> Holder | None:
-        """Identity of a new page; None until it gives a token."""
+        """Holder of a new page; None if it must give a token first."""
         if self.tokens:
             return None
         return Holder.local(f"view {number}")
 
     def allows(self, headers: Headers) -> bool:
-        """Whether to accept a connection: its Host must be this machine, and the Origin of its page
-        this machine or an allowed origin.
+        """Whether to accept a connection: its Host must be this machine, and its Origin this
+        machine or an allowed origin.
         """
         origin = headers.get("Origin")
         return self.rules.allows_host(headers.get_all("Host")) and (
@@ -47,7 +47,7 @@ class ViewAccess:
 
 
 def host_rules(options: ViewOptions, http: HttpOptions) -> HostRules:
-    """The rules of `[http]`, with the page's own address as one more allowed origin.
+    """The rules of `[http]`, with the view's own address as an allowed origin.
 
     Raises:
         ConfigurationError: as HostRules.
@@ -59,7 +59,7 @@ def host_rules(options: ViewOptions, http: HttpOptions) -> HostRules:
 
 
 def check_address(options: ViewOptions, tokens: TokenTable) -> None:
-    """Check that the page may be served on its address; the port may be in use, for instance by a
+    """Check that the view may listen on its address. The port may be in use, for instance by a
     running server.
 
     Raises:

@@ -1,6 +1,6 @@
 """Requests of an open page beside viser's websocket: alarms, rates, maintenance, past tasks.
 
-A page proves by its key, which it got over its own websocket, as whom it asks.
+A page receives a key over its websocket. With this key it proves who its holder is.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ PATH = "/page/"
 `picture?task=&end=`.
 """
 KEY_HEADER = "X-RoboNeuron-Page"
-"""Pages of other origins cannot send it without being allowed to, and no link or image can."""
+"""Pages of other origins need a permission to send it, and links and images cannot send it."""
 _MOST_TEXT = 300
 Body = tuple[HTTPStatus, bytes, str]
 """Status, body and content type of an answer."""
@@ -33,7 +33,7 @@ Body = tuple[HTTPStatus, bytes, str]
 
 @dataclass(frozen=True, slots=True)
 class OpenPage:
-    """An open page: who looks, at what, and the newest state that it shows."""
+    """An open page: its holder, its source, and the newest state that it shows."""
 
     holder: Holder
     source: Source
@@ -41,21 +41,21 @@ class OpenPage:
 
 
 class OpenPages:
-    """The open pages by their keys; usable from any thread."""
+    """The open pages by key; usable from any thread."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._pages: dict[str, OpenPage] = {}
 
     def add(self, page: OpenPage) -> str:
-        """A page is open; returns its key."""
+        """Register an open page; returns its key."""
         key = secrets.token_urlsafe(24)
         with self._lock:
             self._pages[key] = page
         return key
 
     def remove(self, key: str) -> None:
-        """The page is gone, or shows another robot."""
+        """Remove a page that was closed or shows another robot."""
         with self._lock:
             self._pages.pop(key, None)
 
@@ -64,7 +64,8 @@ class OpenPages:
         with self._lock:
             page = self._pages.get(headers.get(KEY_HEADER, ""))
         if page is None:
-            return _told(HTTPStatus.UNAUTHORIZED, {"text": "This page is not known; load it again"})
+            text = "The key of this page is not valid; reload the page"
+            return _told(HTTPStatus.UNAUTHORIZED, {"text": text})
         asked = urlsplit(path)
         given = {key: values[0] for key, values in parse_qs(asked.query).items()}
         try:
@@ -88,11 +89,11 @@ def _answer(page: OpenPage, what: str, given: Mapping[str, str]) -> Body:
         return _tasks(page)
     if what == "picture":
         return _picture(page, given)
-    raise InvalidInputError(f"A page cannot ask for {what[:40]!r}.", path="path")
+    raise InvalidInputError(f"There is no request {what[:40]!r}.", path="path")
 
 
 def _state(page: OpenPage) -> dict[str, object]:
-    """Everything that the bar shows."""
+    """Everything that the strip shows."""
     records, state = page.source.records, page.state()
     told: dict[str, object] = {
         "may_operate": Role.OPERATOR.is_held_by(page.holder.role),
@@ -143,7 +144,7 @@ def _maintain(page: OpenPage, given: Mapping[str, str]) -> Body:
 def _tasks(page: OpenPage) -> Body:
     records = page.source.records
     if records is None or records.tasks is None:
-        raise NotReadyError("This server keeps no tasks.")
+        raise NotReadyError("This server has no past tasks.")
     found = records.tasks.newest()
     rates = [asdict(rate) for rate in success_rates(found)]
     return _told(HTTPStatus.OK, {"tasks": [asdict(task) for task in found], "rates": rates})
@@ -155,7 +156,7 @@ def _picture(page: OpenPage, given: Mapping[str, str]) -> Body:
     if records is not None and records.tasks is not None:
         data = records.tasks.picture(given.get("task", ""), is_end=given.get("end") == "1")
     if data is None:
-        raise InvalidInputError("No picture of this was kept.", path="task")
+        raise InvalidInputError("There is no picture of this task.", path="task")
     return HTTPStatus.OK, data, "image/jpeg"
 
 

@@ -1,5 +1,5 @@
-"""What the view's port answers by itself: the page, the emergency stop and its state; and whom it
-lets in.
+"""HTTP requests that the view answers itself: the page, the emergency stop and its state, the goal
+of the sliders. It also checks the access of every connection.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ from roboneuron import RoboNeuronError
 
 log = logging.getLogger(__name__)
 _OPEN_S = 5.0
-"""A connection has this long for its first request."""
+"""Time limit for the first request of a connection."""
 _MOST_BYTES = 1 << 20
-"""Largest message of a page; viser allows 50 MB."""
+"""Maximum size of a message of a page; viser allows 50 MB."""
 _PAGE_HEADERS = {
     "X-Frame-Options": "DENY",
     "Cache-Control": "no-store",
@@ -45,18 +45,18 @@ _PAGE_HEADERS = {
 _patching = threading.Lock()
 _silent = logging.getLogger(f"{__name__}.websockets")
 _silent.setLevel(logging.CRITICAL)
-"""Of websockets, which logs a traceback for each client that sends no request."""
+"""Logger for websockets, which logs a traceback for each client that sends no request."""
 
 
 class RequestHandler:
-    """Answers requests; on viser's event loop.
+    """Answers HTTP requests on viser's event loop.
 
     Args:
-        admission: who may connect.
-        sources: of the robots by name, as they are now.
-        who: who sends a request, for the audit.
-        visited: a page was asked for; returns its cookie.
-        goal: where whoever leads the robot of that name wants its joints; None when nobody does.
+        admission: checks who may connect.
+        sources: returns the present sources by robot name.
+        who: returns the name of the sender of a request, for the audit.
+        visited: called when the page is requested; returns its cookie.
+        goal: returns the goal of the sliders of the robot of that name; None if no page leads.
         pages: answers requests of open pages.
     """
 
@@ -81,7 +81,9 @@ class RequestHandler:
     async def answer(self, connection: ServerConnection, request: Request) -> Response | None:
         """The answer to a request; None for a websocket and for requests that viser answers."""
         if not self._admission.allows(request.headers):
-            log.warning("A page of %s may not connect to the view.", request.headers.get("Origin"))
+            log.warning(
+                "A page of origin %s may not connect to the view.", request.headers.get("Origin")
+            )
             return _answer(
                 HTTPStatus.FORBIDDEN,
                 b"This page may not connect.\n",
@@ -135,7 +137,7 @@ class RequestHandler:
         tokens = self._admission.tokens
         scheme, _, token = request.headers.get("Authorization", "").partition(" ")
         if tokens and (scheme.lower() != "bearer" or tokens.find(token.strip()) is None):
-            text = "The view has tokens; send one of [[http.tokens]] as a bearer token"
+            text = "A token is required; send one of [[http.tokens]] as a bearer token"
             return _json(HTTPStatus.UNAUTHORIZED, {"text": text})
         namespaces = {
             name: source.config().namespace.strip("/") for name, source in self._robots().items()
@@ -143,11 +145,11 @@ class RequestHandler:
         found = [name for name, own in namespaces.items() if robot in (name, own)]
         if not found:
             have = ", ".join(namespaces.values()) or "none"
-            text = f"There is no robot {robot[:80]!r}; the view has {have}"
+            text = f"There is no robot {robot[:80]!r}; this view shows {have}"
             return _json(HTTPStatus.NOT_FOUND, {"text": text})
         goal = self._goal(found[0])
         if goal is None:
-            return _json(HTTPStatus.CONFLICT, {"text": "Nobody leads this robot from the page"})
+            return _json(HTTPStatus.CONFLICT, {"text": "No page leads this robot"})
         return _json(HTTPStatus.OK, {"positions": goal})
 
     async def _stop(self, connection: ServerConnection, request: Request, robot: str) -> Response:
@@ -161,7 +163,7 @@ class RequestHandler:
         pressed = [asyncio.to_thread(_press, name, source, who) for name, source in chosen.items()]
         done = await asyncio.gather(*pressed)
         is_good = bool(done) and all(good for good, _ in done)
-        text = " ".join(text for _, text in done) or "There is no robot here"
+        text = " ".join(text for _, text in done) or "There is no robot to stop"
         return _json(HTTPStatus.OK if is_good else HTTPStatus.INTERNAL_SERVER_ERROR, {"text": text})
 
 

@@ -1,4 +1,4 @@
-"""The web server with all its pages."""
+"""The web server of the view, with all its pages."""
 
 from __future__ import annotations
 
@@ -34,17 +34,17 @@ TITLE = "RoboNeuron"
 _RIGHT_PX = 380
 _CONNECTIONS = 128
 _SILENT_S = 10.0
-"""A websocket has this long to become a page; a browser's takes 1 to 5 s."""
+"""Time limit for a new websocket to become a page; a browser takes 1 to 5 s."""
 _PROVED_S = 0.2
-"""So often a page that leads is asked whether it is there."""
+"""Interval of the pings to a page that leads."""
 _MOST_SILENT, _MOST_WAITING = 32, 32
-"""Websockets that are no pages, and pages that show the stop only: the oldest gives way to the
-newest.
+"""Maximum number of websockets that are not pages yet, and of pages that show only the stop. Beyond
+it the oldest is disconnected.
 """
 
 
 class _ViserServer(viser.ViserServer):
-    """Opens no tunnel: in viser any page may ask for a public address of the server."""
+    """Refuses tunnels: in viser any page may request a public address of the server."""
 
     def request_share_url(self, verbose: bool = True) -> str | None:
         log.warning("A page asked to share the view with the internet: refused.")
@@ -55,10 +55,10 @@ class ViewServer:
     """Serves pages from `open` to `close`.
 
     Args:
-        options: where, how fast and to how many.
-        source: what is shown; of several robots by their names, and each page has a choice.
-        admission: who may look.
-        operator: calls tools for the buttons of a robot; None for a view without.
+        options: of `[view]`.
+        source: data source; for several robots by name, and each page has a choice.
+        admission: checks who may connect.
+        operator: calls tools for the buttons; None for a view without buttons.
     """
 
     def __init__(
@@ -89,9 +89,7 @@ class ViewServer:
 
     @property
     def measured(self) -> MeasuredTopics | None:
-        """Measurements of the first robot; None while no page shows it, as nothing is subscribed to
-        then.
-        """
+        """Measurements of the first robot; None while no page shows it."""
         return next(iter(self._robot_pages.values())).measured
 
     @property
@@ -106,7 +104,7 @@ class ViewServer:
         )
 
     def open(self) -> None:
-        """Start to serve.
+        """Start to listen.
 
         Raises:
             ConfigurationError: as `check_port`.
@@ -124,7 +122,7 @@ class ViewServer:
         with (
             served_by(self._listener, web, self._lead_sockets),
             contextlib.redirect_stdout(io.StringIO()),
-        ):  # a banner; stdout may be a protocol
+        ):  # hide viser's banner: stdout may carry MCP
             self._server = _ViserServer(
                 host=self._options.host, port=self._options.port, label=TITLE, verbose=False
             )
@@ -139,7 +137,7 @@ class ViewServer:
         log.info("The live view is at %s.", self.url)
 
     def join(self, name: str, source: Source, operator: Operator) -> None:
-        """Show one more robot; every page reloads, now with a choice of the robot."""
+        """Show one more robot. Every page reloads and has a choice of the robot then."""
         with self._lock:
             self._sources = {**self._sources, name: source}
             self._operators = {**self._operators, name: operator}
@@ -164,18 +162,18 @@ class ViewServer:
         with self._lock:
             self._pages.clear()
             self._shown.clear()
-        for pages in self._robot_pages.values():  # again: a page may have come meanwhile
+        for pages in self._robot_pages.values():  # again: a page may have connected meanwhile
             pages.close()
 
     def _begin_anew(self) -> None:
-        """Disconnect all pages, so that they reload: another robot runs."""
+        """Disconnect all pages, so that they reload."""
         server = self._server
         if server is not None:
             server._websock_server.disconnect_all_clients()
 
     async def _check_connection(self, connection: Any) -> None:
-        """Give a new websocket `_SILENT_S` to become a page, and close the oldest ones that are no
-        page beyond `_MOST_SILENT`.
+        """Give a new websocket `_SILENT_S` to become a page. Close the oldest ones that are not
+        pages beyond `_MOST_SILENT`.
         """
         assert self._server is not None
         live = self._server._websock_server._live_connections
@@ -223,8 +221,8 @@ class ViewServer:
         self._begin(page)
 
     def _abort(self, number: int) -> None:
-        """Disconnect a page that shows only the stop, to make room for a newer one; it reconnects
-        by itself.
+        """Disconnect a page that shows only the stop, in favour of a newer one. It reconnects by
+        itself.
         """
         server = self._server
         found = None if server is None else server._websock_server._live_connections.get(number)
@@ -233,7 +231,7 @@ class ViewServer:
             loop.call_soon_threadsafe(found.transport.abort)
 
     def _begin(self, page: Page) -> None:
-        """Show everything to a page whose holder is known; ask for a token on others."""
+        """Show the robot on a page whose holder is known; ask for a token on others."""
         if page.holder is not None:
             self._admit(page)
         else:
@@ -260,7 +258,7 @@ class ViewServer:
         return None if pages is None else pages.goal()
 
     def _on_lead(self, page: Page, lead: SliderGoal, who: object) -> None:
-        """Keep the lead of a page alive for as long as its browser answers."""
+        """Let a page lead for as long as its browser answers."""
         server = self._server
         loop = None if server is None else server._websock_server._background_event_loop
         if loop is not None:
@@ -304,7 +302,7 @@ class ViewServer:
 
 
 def _set_theme(gui: viser.GuiApi, *, is_dark: bool) -> None:
-    """Set the theme of every page, or of one."""
+    """Set the theme, of every page or of one."""
     gui.configure_theme(
         show_logo=False, show_share_button=False, control_width="medium", dark_mode=is_dark
     )

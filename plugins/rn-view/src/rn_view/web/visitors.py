@@ -1,4 +1,4 @@
-"""Which browser a request comes from, so that the audit says who pressed the stop."""
+"""Browsers with an open page, by cookie, so that the audit names who pressed the stop."""
 
 from __future__ import annotations
 
@@ -23,9 +23,10 @@ class _PageRequest(Protocol):
 
 
 class Visitors:
-    """Names of those whose page is open, by the cookie of their browser; usable from any thread.
+    """Names of the holders with an open page, by the cookie of their browser; usable from any
+    thread.
 
-    The cookie is no right: everybody may press the stop, and nothing else is done by requests.
+    The cookie grants nothing: everybody may press the stop, with or without it.
     """
 
     def __init__(self) -> None:
@@ -36,7 +37,7 @@ class Visitors:
         self._widths: dict[int, int] = {}
 
     def cookie(self, request: _PageRequest) -> str:
-        """Set-Cookie header for a browser; repeats the cookie that it has already."""
+        """Set-Cookie header for a browser; keeps its present cookie."""
         value = _cookie_of(request) or secrets.token_urlsafe(16)
         return f"{_COOKIE}={value}; Path=/; HttpOnly; SameSite=Strict"
 
@@ -55,12 +56,12 @@ class Visitors:
             return number in self._dark
 
     def width_px(self, number: int) -> int:
-        """Width of that page when it was loaded; 0 when its browser did not say it."""
+        """Width of that page when it was loaded [px]; 0 if unknown."""
         with self._lock:
             return self._widths.get(number, 0)
 
     def name(self, number: int, who: str) -> None:
-        """Register who looks at that page."""
+        """Register the holder of that page."""
         with self._lock:
             self._names[number] = who
 
@@ -73,7 +74,7 @@ class Visitors:
             self._widths.pop(number, None)
 
     def who(self, request: _PageRequest, address: str) -> str:
-        """Name of the sender of a request: the holder of that browser's newest page."""
+        """Name of the sender of a request: the holder of the newest page of that browser."""
         cookie = _cookie_of(request)
         with self._lock:
             pages = [
