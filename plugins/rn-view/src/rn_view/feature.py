@@ -45,7 +45,7 @@ class ViewFeature(Feature[ViewOptions]):
             check_address(self.options, read_tokens(http.tokens, os.environ))
 
     def reserve(self, config: Config) -> None:
-        """Reserve the port. Refuses while another process listens on it."""
+        """Check that the port is free. Refuses while another process listens on it."""
         if self.options.enabled:
             http = HttpOptions.of(config)
             check_port(self.options, read_tokens(http.tokens, os.environ))

@@ -91,9 +91,9 @@ class RecordedSource:
         self._player.close()
 
     @property
-    def shown_events(self) -> _Then:
+    def shown_events(self) -> _EventsUntil:
         """See Source: events up to the time shown."""
-        return _Then(self._log.lines(self._shown_ns))
+        return _EventsUntil(self._log.lines(self._shown_ns))
 
     def config(self) -> Config:
         """See Source."""
@@ -231,7 +231,7 @@ class RecordedSource:
         return module_row(kind, health or assessed, report, error=error, chosen=chosen)
 
 
-class _Then:
+class _EventsUntil:
     """Events up to a time, oldest first."""
 
     def __init__(self, events: list[ShownEvent]) -> None:

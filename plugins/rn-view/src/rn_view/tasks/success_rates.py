@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-
-import numpy as np
+from statistics import NormalDist, median
 
 from rn_view.sources.records import ShownTask
 
-_Z = 1.959964
-"""97.5th percentile of the standard normal distribution."""
+_Z = NormalDist().inv_cdf(0.975)
+"""For a two-sided interval of 95 %."""
 _JUDGED = ("succeeded", "failed", "timed_out")
 """Outcomes that count for a model. A person or a stop ended the other tasks."""
 
@@ -37,10 +36,7 @@ class SuccessRate:
 
 
 def success_rates(tasks: Sequence[ShownTask]) -> list[SuccessRate]:
-    """Success rates by model and instruction, those with the most tasks first.
-
-    Source of the interval: E. B. Wilson, J. Am. Stat. Assoc. 22 (1927), 209.
-    """
+    """Success rates by model and instruction, those with the most tasks first."""
     groups: dict[tuple[str, str], list[ShownTask]] = {}
     for task in tasks:
         if task.outcome in _JUDGED:
@@ -49,7 +45,7 @@ def success_rates(tasks: Sequence[ShownTask]) -> list[SuccessRate]:
     rates = []
     for (model, words), found in groups.items():
         good = [task.took_s for task in found if task.outcome == "succeeded"]
-        low, high = _wilson(len(good), len(found))
+        low, high = wilson_interval(len(good), len(found))
         rates.append(
             SuccessRate(
                 model=model,
@@ -58,14 +54,23 @@ def success_rates(tasks: Sequence[ShownTask]) -> list[SuccessRate]:
                 judged=len(found),
                 low=low,
                 high=high,
-                median_s=float(np.median(good)) if good else None,
+                median_s=median(good) if good else None,
             )
         )
     return sorted(rates, key=lambda rate: rate.judged, reverse=True)
 
 
-def _wilson(good: int, total: int) -> tuple[float, float]:
-    share, z2 = good / total, _Z * _Z
-    centre = (share + z2 / (2 * total)) / (1 + z2 / total)
-    half = _Z * math.sqrt(share * (1 - share) / total + z2 / (4 * total * total)) / (1 + z2 / total)
+def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
+    """Score interval of a proportion, 95 %, for at least one trial.
+
+    Not by scipy as in rn-eval: the view would need 100 MB more for these lines. A test compares
+    both.
+
+    Source: E. B. Wilson, J. Am. Stat. Assoc. 22 (1927), 209.
+    """
+    share, z2 = successes / trials, _Z * _Z
+    scale = 1 + z2 / trials
+    centre = (share + z2 / (2 * trials)) / scale
+    variance = share * (1 - share) / trials + z2 / (4 * trials * trials)
+    half = _Z * math.sqrt(variance) / scale
     return max(0.0, centre - half), min(1.0, centre + half)
