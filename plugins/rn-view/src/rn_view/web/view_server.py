@@ -19,6 +19,7 @@ from rn_standard.http.listener import BoundedListener, other_bounds
 from rn_view.options import ViewOptions
 from rn_view.page.client_page import Page
 from rn_view.page.robot_pages import RobotPages
+from rn_view.page.stop_bar import TITLE
 from rn_view.sources.measured_topics import MeasuredTopics
 from rn_view.sources.operator_calls import Operator
 from rn_view.sources.source import Source
@@ -30,7 +31,6 @@ from rn_view.web.request_handler import RequestHandler, served_by
 from rn_view.web.visitors import Visitors
 
 log = logging.getLogger(__name__)
-TITLE = "RoboNeuron"
 _RIGHT_PX = 380
 _CONNECTIONS = 128
 _SILENT_S = 10.0
