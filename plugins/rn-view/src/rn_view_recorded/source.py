@@ -210,7 +210,7 @@ class RecordedSource:
         return found
 
     def _read_reports(self, record: Record) -> list[tuple[str, Report]]:
-        read = []
+        read: list[tuple[str, Report]] = []
         for status in self._timeline.decode(record).status:
             namespace, _, node = status.name.strip("/").rpartition("/")
             kind = next(
