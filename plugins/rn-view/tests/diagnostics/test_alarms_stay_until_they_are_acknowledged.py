@@ -110,7 +110,7 @@ def test_a_fallback_is_a_warning_each_time_it_takes_over(kept: Kept) -> None:
     assert kept.told() == [("inference", "fallback", 2)]
     kept.rules.on_metrics({"fallback.count": "?"})
     kept.rules.on_metrics({})
-    assert "servo acts: late" in kept.book.newest()[0].cause
+    assert "servo is in use: late" in kept.book.newest()[0].cause
 
 
 def test_the_release_of_the_stop_ends_its_alarm(kept: Kept) -> None:
