@@ -29,7 +29,7 @@ from view_stops import Stop, measure_stops  # noqa: E402
 
 from rn_testing.domain import free_ros_domain  # noqa: E402
 from rn_view.options import ViewOptions  # noqa: E402
-from rn_view.viewer import Viewer  # noqa: E402
+from rn_view.web.view_server import ViewServer  # noqa: E402
 from rn_view_attached.source import AttachedSource, ViewNode  # noqa: E402
 from roboneuron.config import load_config  # noqa: E402
 from roboneuron.plugins.discovery import discover  # noqa: E402
@@ -73,7 +73,7 @@ def measure_pictures(browser: Any, folder: Path, seconds: float) -> tuple[int, l
     camera.open()
     publish = camera.advertise(Image, f"/{config.namespace}/camera/front/image", STATUS)
     options = ViewOptions(enabled=True, port=0, image_hz=30.0)
-    viewer = Viewer(options, source, admission(options), None)
+    viewer = ViewServer(options, source, admission(options), None)
     viewer.open()
     messages = []
     for level in range(LEVELS):

@@ -162,7 +162,7 @@ class BrowserPerson:
             if page.locator("#rn-lead-back").is_visible():
                 return ""
             page.locator("#rn-lead-operate").click()
-            page.get_by_text("You operate the robot now").wait_for(timeout=PATIENCE_MS)
+            page.get_by_text("You are the operator now").wait_for(timeout=PATIENCE_MS)
         return str(page.locator("#rn-lead-state").inner_text())
 
     def drive(self, twist: list[float], held: bool) -> None:

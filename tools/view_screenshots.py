@@ -31,9 +31,9 @@ from rn_standard.console.client import spawned_server
 from rn_standard.http.options import HttpOptions
 from rn_standard.http.tokens import TokenTable
 from rn_testing.domain import free_ros_domain
-from rn_view.access import ViewAccess, host_rules
 from rn_view.options import ViewOptions
-from rn_view.viewer import Viewer
+from rn_view.web.access import ViewAccess, host_rules
+from rn_view.web.view_server import ViewServer
 from rn_view_recorded.source import RecordedSource
 from roboneuron.config import load_config
 from roboneuron.plugins.discovery import discover
@@ -180,7 +180,7 @@ async def recorded(folder: Path, state: Path, browser: Browser) -> None:
     run = next(run for run in store.runs() if run.kind == "recording")
     source = RecordedSource(run.id, run.files, load_config(None), discover())
     options = ViewOptions(port=0)
-    viewer = Viewer(
+    viewer = ViewServer(
         options,
         source,
         ViewAccess(tokens=TokenTable([]), rules=host_rules(options, HttpOptions())),

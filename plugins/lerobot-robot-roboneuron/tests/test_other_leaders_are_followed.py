@@ -100,7 +100,7 @@ def test_a_person_leads_the_arm_with_the_sliders_of_the_live_view(
     assert process.wait(END_S) != 0
     told = lerobot.last_line(process)
     assert f"The leader on the page {url} has been silent for" in told
-    assert "Nobody leads this robot from the page." in told
+    assert "No page leads this robot." in told
 
 
 def test_a_view_that_is_not_there_and_another_robot_are_named(
@@ -113,7 +113,7 @@ def test_a_view_that_is_not_there_and_another_robot_are_named(
     assert "The view does not answer: [Errno 111]" in lerobot.last_line(nowhere)
     other = lerobot.teleoperate(f"--teleop.view={url}", "--teleop.namespace=fr3")
     assert other.wait(END_S) != 0
-    assert "There is no robot 'fr3'; the view has so101" in lerobot.last_line(other)
+    assert "There is no robot 'fr3'; this view shows so101" in lerobot.last_line(other)
 
 
 class HandMovedArm(SerialArm):

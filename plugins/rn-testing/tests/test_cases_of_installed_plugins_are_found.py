@@ -50,7 +50,7 @@ def test_the_shipped_case_is_used_with_the_callers_options_on_top(shipped):
 @pytest.mark.parametrize(
     ("attribute", "words"),
     [
-        ("other", "of this very descriptor"),
+        ("other", "of this descriptor"),
         ("wrong", "returned int"),
         ("text", "expected a function"),
         ("no", "no attribute"),

@@ -29,7 +29,7 @@ def slow_call(calls: list[float], kept: list[bytes] | deque[bytes]) -> None:
 
 def test_a_slow_call_that_keeps_a_kilobyte_is_seen(calls):
     kept: list[bytes] = []
-    with pytest.raises(Violation, match=r"keeps about 1\d\d\d bytes"):
+    with pytest.raises(Violation, match=r"leaks about 1\d\d\d bytes"):
         effects.check_memory(lambda: slow_call(calls, kept), "predict")
 
 

@@ -16,7 +16,7 @@ sys.path.insert(0, str(Path(__file__).parent))  # view_fakes.py is beside the te
 from view_fakes import FakeOperator, FakeSource, admission
 
 from rn_view.options import ViewOptions
-from rn_view.viewer import Viewer
+from rn_view.web.view_server import ViewServer
 
 CHROMIUM = next(
     filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
@@ -45,13 +45,13 @@ def operator() -> FakeOperator:
 
 
 @pytest.fixture
-def serve(source: FakeSource, operator: FakeOperator) -> Iterator[Callable[..., Viewer]]:
+def serve(source: FakeSource, operator: FakeOperator) -> Iterator[Callable[..., ViewServer]]:
     """Return a function that serves the page, with tokens if any are given."""
-    viewers: list[Viewer] = []
+    viewers: list[ViewServer] = []
 
-    def start(*tokens: tuple[str, str], **options: Any) -> Viewer:
+    def start(*tokens: tuple[str, str], **options: Any) -> ViewServer:
         chosen = ViewOptions(enabled=True, port=0, **options)
-        viewer = Viewer(chosen, source, admission(chosen, *tokens), operator)
+        viewer = ViewServer(chosen, source, admission(chosen, *tokens), operator)
         viewers.append(viewer)
         viewer.open()
         return viewer

@@ -16,7 +16,7 @@ from websockets.sync.client import connect
 from websockets.typing import Origin, Subprotocol
 
 from rn_testing.waiting import wait_until
-from rn_view.lead_page import PROTOCOL, SOCKET_PATH
+from rn_view.teleoperation.stick_panel import PROTOCOL, SOCKET_PATH
 
 _PATIENCE_S = 60.0
 

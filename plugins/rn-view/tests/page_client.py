@@ -19,7 +19,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 from websockets.typing import Origin, Subprotocol
 
-from rn_view.stop_bar import HEADER, HEADER_VALUE, STOP_PATH
+from rn_view.page.stop_bar import HEADER, HEADER_VALUE, STOP_PATH
 from roboneuron.supervisor.health import EXPLANATIONS
 
 PROTOCOL = f"viser-v{viser.__version__}"

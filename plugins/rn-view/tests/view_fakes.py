@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 
 from rn_standard.http.options import HttpOptions
 from rn_standard.http.tokens import TokenTable
-from rn_view.access import ViewAccess, host_rules
-from rn_view.event_list import EventList
+from rn_view.diagnostics.event_list import EventList
 from rn_view.options import ViewOptions
-from rn_view.records import RobotRecords
-from rn_view.source import ModuleRow, PageState
+from rn_view.sources.records import RobotRecords
+from rn_view.sources.source import ModuleRow, PageState
+from rn_view.web.access import ViewAccess, host_rules
 from roboneuron import CameraCalibration, CameraProfile, JointLimits, RobotProfile, Workspace
 from roboneuron.config import Config, parse_config
 from roboneuron.server.tool import Holder
@@ -123,7 +123,7 @@ class FakeSource:
     def is_latched(self) -> bool:
         return bool(self.stops)
 
-    def look(self) -> None:
+    def poll(self) -> None:
         pass
 
     def subscribe(

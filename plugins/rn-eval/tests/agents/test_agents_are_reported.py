@@ -153,7 +153,7 @@ def test_the_command_lists_what_is_installed_and_refuses_nonsense(capsys):
     assert main(["eval", "agents", "--subject", "nobody", "--out", "/nonexistent/x"]) != 0
     assert "nobody" in capsys.readouterr().err
     assert main(["eval", "agents", "--subject", "perfect", "--workers", "0"]) != 0
-    assert "--workers is at least 1" in capsys.readouterr().err
+    assert "--workers must be at least 1" in capsys.readouterr().err
 
 
 def test_every_worker_has_a_domain_of_its_own(monkeypatch: pytest.MonkeyPatch):

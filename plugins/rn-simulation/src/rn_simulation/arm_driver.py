@@ -89,8 +89,8 @@ class SimulatedArmDriver:
         self._time.check_stopped()
         if self._profile.arm_joints != self._cell.arm_joints:
             raise ConfigurationError(
-                f"The simulated {self._title} moves {', '.join(self._cell.arm_joints)}, the "
-                f"profile {self._profile.name!r} has others."
+                f"The simulated {self._title} has the joints {', '.join(self._cell.arm_joints)}, "
+                f"the profile {self._profile.name!r} has {', '.join(self._profile.arm_joints)}."
             )
         if self._publish is None:
             self._publish = self._topics.advertise(TOPIC, Float64MultiArray)

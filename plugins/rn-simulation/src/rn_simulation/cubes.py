@@ -111,7 +111,7 @@ def random_cubes_in(region: CubeRegion, seed: int, colours: Sequence[str]) -> tu
             break
     else:
         raise ConfigurationError(
-            f"{len(names)} cubes find no room {region.spacing_m} m apart; ask for fewer."
+            f"There is no space for {len(names)} cubes {region.spacing_m} m apart; use fewer."
         )
     edge, yaw = (
         random.uniform(*region.edge_m, len(names)),

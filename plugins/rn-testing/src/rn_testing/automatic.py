@@ -38,6 +38,6 @@ def make_case(spec: Spec, options: Mapping[str, object]) -> Case[Spec]:
     if not isinstance(case, expected) or case.spec != spec:
         raise PluginError(
             f"The `case` of {spec.name!r} ({spec.case}) returned {type(case).__name__}, "
-            f"expected a {expected.__name__} of this very descriptor."
+            f"expected a {expected.__name__} of this descriptor."
         )
     return replace(case, options={**case.options, **options})

@@ -135,7 +135,7 @@ class RobotCase(Case[RobotSpec]):
     def driver_spec(self) -> DriverSpec:
         """The driver under test. Raises NotApplicable if there is none."""
         if self.driver is None:
-            raise NotApplicable("no driver may be moved by this case")
+            raise NotApplicable("this case permits no driver to move")
         spec = self.spec.driver(self.driver)
         if spec is None and self.is_automatic:
             raise NotApplicable(f"there is no driver {self.driver!r} to try")

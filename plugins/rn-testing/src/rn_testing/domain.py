@@ -47,5 +47,6 @@ def free_ros_domain() -> int:
         _held.rotate(-1)
         return _held[-1]
     raise RuntimeError(
-        f"Every ROS domain of {DOMAINS} is held by another test process. Look who locks {folder}/*."
+        f"Every ROS domain of {DOMAINS} is held by another test process. See which process "
+        f"locks {folder}/*."
     )

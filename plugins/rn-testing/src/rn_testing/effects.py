@@ -295,10 +295,10 @@ def check_memory(action: Callable[[], object], what: str, *, count: int = 20) ->
         tracemalloc.stop()
     assert kept is not None
     if kept[2] > OPEN_FILES:
-        raise Violation(f"{what} keeps {kept[2]:.2g} open files with every call")
+        raise Violation(f"{what} leaves {kept[2]:.2g} more files open with each call")
     for value, most in zip(kept[:2], allowed, strict=False):
         if value > most:
-            raise Violation(f"{what} keeps about {value:.0f} bytes of memory with every call")
+            raise Violation(f"{what} leaks about {value:.0f} bytes of memory with each call")
 
 
 def _kept_by_each_call(marks: list[tuple[int, int, int]], calls: int) -> tuple[float, ...] | None:

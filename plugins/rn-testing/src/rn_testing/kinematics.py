@@ -51,7 +51,7 @@ def read_joints(urdf: str) -> dict[str, tuple[str, UrdfJoint]]:
     try:
         root = ElementTree.fromstring(urdf)
     except ElementTree.ParseError as error:
-        raise Violation(f"the URDF is no XML: {error}") from error
+        raise Violation(f"the URDF is not valid XML: {error}") from error
     joints: dict[str, tuple[str, UrdfJoint]] = {}
     for element in root.findall("joint"):
         joint = _read_joint(element)
@@ -68,7 +68,7 @@ def read_chain(profile: RobotProfile) -> tuple[UrdfJoint, ...]:
         link, joint = joints[link]
         chain.insert(0, joint)
     if link != profile.base_link:
-        raise Violation(f"{profile.tcp_link!r} is not carried by {profile.base_link!r} in the URDF")
+        raise Violation(f"the URDF has no chain from {profile.base_link!r} to {profile.tcp_link!r}")
     return tuple(chain)
 
 

@@ -26,14 +26,11 @@ from rn_testing.refusals import SECRET, check_error, check_missing_files, secret
 from rn_testing.rule import NotApplicable, Rule, Violation, require
 from roboneuron import RoboNeuronError, Spec, StateError
 
-PURE = (
-    "The constructor opens no file, starts no thread or process and computes nothing that "
-    "takes time."
-)
+PURE = "The constructor opens no file, starts no thread or process, and does no long computation."
 """Text of the rule `constructor-pure`."""
 ALONE = (
-    "It leaves the process as it was: folder, environment, signals, global random generators, "
-    "logging, standard output."
+    "It does not change the process: working directory, environment, signals, global random "
+    "generators, logging, standard output."
 )
 """Text of the rule `process-left-alone`."""
 CONSTRUCTOR_S = 1.0
@@ -169,7 +166,8 @@ class Lifecycle(Generic[CaseT, C]):
             ),
             rule(
                 f"second-{begin}-safe",
-                f"A second `{begin}` changes nothing or is a StateError; one `close` releases all.",
+                f"A second `{begin}` changes nothing or raises StateError; one `close` releases "
+                f"everything.",
                 self._check_second_start,
                 f".{begin}",
             ),
@@ -181,20 +179,20 @@ class Lifecycle(Generic[CaseT, C]):
             ),
             rule(
                 "memory-bounded",
-                f"Memory and open files do not grow with every `{self._name}`.",
+                f"Memory and open files do not grow with each `{self._name}`.",
                 self._check_memory,
                 f".{self._name}",
             ),
             rule("process-left-alone", ALONE, self._check_process),
             rule(
                 "errors-readable",
-                "Its errors are short and hold no secret of options or environment.",
+                "Its error messages are short and contain no secret from options or environment.",
                 self._check_errors,
             ),
             rule(
                 "missing-file-refused",
-                "An option that names a file which is not there leads to an error of "
-                "roboneuron.errors, or to none.",
+                "An option that names a missing file leads to an error of roboneuron.errors, "
+                "or to none.",
                 self._check_missing_files,
                 f".{begin}",
             ),

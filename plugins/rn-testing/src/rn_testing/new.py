@@ -30,10 +30,10 @@ class New:
             "kind", choices=NEW_KINDS, metavar="KIND", help=f"one of {', '.join(NEW_KINDS)}"
         )
         parser.add_argument(
-            "name", metavar="NAME", help="what users will choose it by, such as my-policy"
+            "name", metavar="NAME", help="name by which users select it, such as my-policy"
         )
         parser.add_argument(
-            "--directory", type=Path, metavar="DIR", help="where to write (./rn-KIND-NAME)"
+            "--directory", type=Path, metavar="DIR", help="directory to create (./rn-KIND-NAME)"
         )
 
     def run(self, arguments: Namespace) -> int:
@@ -70,7 +70,7 @@ def write_package(kind: str, name: str, directory: Path) -> list[Path]:
         )
     if directory.exists() and (not directory.is_dir() or any(directory.iterdir())):
         raise ConfigurationError(
-            f"{directory} exists and is not empty.", hint="Name another one with --directory."
+            f"{directory} exists and is not empty.", hint="Choose another one with --directory."
         )
     words = {
         "kind": kind,

@@ -14,7 +14,7 @@ from roboneuron import Spec
 if TYPE_CHECKING:
     from pydantic import BaseModel
 
-OPTIONS_READ = "The options are read, each that the case sets or at least one, and not written to."
+OPTIONS_READ = "Each option that the case sets is read, or at least one option; none is changed."
 """Text of the rule `options-read`."""
 
 
@@ -51,7 +51,7 @@ def check_options_read(
     changed = [type(options).__name__ for options, before in kept if _written(options) != before]
     require(
         not changed,
-        f"the options of {', '.join(changed)} are written to; they belong to the caller",
+        f"the options of {', '.join(changed)} are changed; they belong to the caller",
     )
     ignored = sorted(judged - read)
     require(not ignored, f"the options {', '.join(ignored)} are set and never read")

@@ -73,7 +73,7 @@ class PluginsCheck:
             type=float,
             default=120.0,
             metavar="SECONDS",
-            help="bound for the whole (120)",
+            help="time limit for the whole check (120)",
         )
         parser.add_argument("--json", action="store_true", help="machine-readable results")
 
@@ -204,7 +204,7 @@ def read_results(output: str, lost: str, *, timed_out: bool) -> list[CheckedRow]
         place = begun or {
             "subject": "check",
             "rule": "check/completes",
-            "text": "The check runs to its end.",
+            "text": "The check completes.",
         }
         results.append(
             CheckedRow(**place, verdict="timeout" if timed_out else "crashed", detail=lost)

@@ -17,7 +17,7 @@ class PluginsRules:
             "kind",
             metavar="KIND",
             nargs="?",
-            help="rules of this kind only, or of every package; all without it",
+            help="only the rules of this kind, or those of packages; default: all",
         )
 
     def run(self, arguments: Namespace) -> int:

@@ -93,7 +93,7 @@ def check_missing_files(case: Case[Spec], use: Callable[[Case[Spec]], object]) -
             except Violation:
                 raise
             except Exception as error:
-                what = f"with a {name} that is not there it raised {type(error).__name__}: {error}"
+                what = f"with a missing {name} it raised {type(error).__name__}: {error}"
                 raise Violation(f"{what}; expected an error of roboneuron.errors") from error
 
 

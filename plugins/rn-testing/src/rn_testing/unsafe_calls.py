@@ -8,7 +8,7 @@ import ast
 from collections.abc import Iterator
 from pathlib import Path
 
-UNPICKLES = "unpickles: whoever wrote the file runs code here"
+UNPICKLES = "loads a pickle, which can run code of whoever wrote it"
 EVALUATES = "runs text as code"
 UNSAFE: dict[str, str] = {
     **dict.fromkeys(

@@ -105,7 +105,9 @@ MUTANTS: dict[str, Mutant] = {
     "spaces_without_execute": Mutant(
         rule="controller/spaces-executed", target=WithoutExecute, words="has no `execute`"
     ),
-    "positions_taken_as_deltas": but("spaces-executed", "beside", execute=row(as_deltas)),
+    "positions_taken_as_deltas": but(
+        "spaces-executed", "away from its target", execute=row(as_deltas)
+    ),
     "rows_from_joints_by_place": but("spaces-executed", execute=measured_in_order),
     "quaternions_begin_with_w": but(
         "spaces-executed",

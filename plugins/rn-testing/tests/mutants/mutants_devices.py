@@ -109,7 +109,7 @@ DRIVERS = {
         "gripper",
         hold=lambda s, call: then(call(), s._move(s._start, {**s._start, "finger": 0.0}, 0.5)),
     ),
-    "open_goes_home": driver("open-stands-still", "nobody sent", open=goes_home),
+    "open_goes_home": driver("open-stands-still", "without any command", open=goes_home),
 }
 
 
@@ -183,7 +183,7 @@ SOURCES = {
     ),
     "ten_times_too_fast": source(
         "pace-kept",
-        "declared are 30 Hz",
+        "declared 30 Hz",
         base=Stream,
         case=STREAM,
         spec=PACE,

@@ -57,10 +57,10 @@ BACKENDS = {
         predict=lambda s, call, o: replace(call(o), note="x" * 20_000),
     ),
     "chunk_shorter_than_declared": backend(
-        "rows-declared", "declared are 8", spec=FIXED, predict=rows(4)
+        "rows-declared", "expected 8", spec=FIXED, predict=rows(4)
     ),
     "chunk_shorter_than_its_option": backend(
-        "rows-declared", "declared are 6", case={"options": {"horizon": 6}}, predict=rows(3)
+        "rows-declared", "expected 6", case={"options": {"horizon": 6}}, predict=rows(3)
     ),
     "chunk_shorter_than_its_case": backend("rows-declared", case={"rows": 5}, predict=rows(2)),
     "needs_a_word": backend("any-instruction", "IndexError", predict=first_word),

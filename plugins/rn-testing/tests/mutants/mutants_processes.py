@@ -304,7 +304,7 @@ MUTANTS: dict[str, Mutant] = {
     **{
         f"{kind}_writes_to_its_options": Mutant(
             rule=f"{kind}/options-read",
-            words="written to",
+            words="are changed",
             target=mutate(base, __init__=with_options, **{use: written_to}),
             spec=OPTIONS,
         )

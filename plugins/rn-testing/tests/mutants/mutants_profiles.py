@@ -79,7 +79,7 @@ PROFILES: dict[str, Mutant] = {
     "home_in_degrees": profiled("home-inside", home_rad=np.degrees(GOOD.home_rad)),
     "home_of_five_joints": profiled("home-inside", home_rad=GOOD.home_rad[:5]),
     "urdf_missing": profiled("urdf-complete", urdf=""),
-    "urdf_torn": profiled("urdf-complete", "no XML", urdf="<robot>"),
+    "urdf_torn": profiled("urdf-complete", "not valid XML", urdf="<robot>"),
     "tcp_not_in_the_urdf": profiled("urdf-complete", tcp_link="tool"),
     "base_not_in_the_urdf": profiled("urdf-complete", base_link="world"),
     "joint_not_in_the_urdf": profiled("urdf-complete", arm_joints=("elbow", *GOOD.arm_joints[1:])),
@@ -96,8 +96,8 @@ PROFILES: dict[str, Mutant] = {
         "cameras-agree", cameras=(replace(GOOD.cameras[0], width=0), GOOD.cameras[1])
     ),
     "camera_pose_in_millimetres": camera("millimetres", T_mount_camera=moved(500.0)),
-    "camera_mirrored": camera("no pose", T_mount_camera=np.diag([1, 1, -1, 1.0])),
-    "camera_pose_transposed": camera("no pose", T_mount_camera=moved(0.5).T),
+    "camera_mirrored": camera("not a pose", T_mount_camera=np.diag([1, 1, -1, 1.0])),
+    "camera_pose_transposed": camera("not a pose", T_mount_camera=moved(0.5).T),
     "camera_on_another_mount": camera("mount", mount="wrist"),
     "camera_centre_in_metres": camera(
         "centre", intrinsics=np.array([[64, 0, -0.3], [0, 64, 0.2], [0, 0, 1]])

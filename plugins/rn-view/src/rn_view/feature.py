@@ -1,4 +1,4 @@
-"""The feature: the live view in the server's process."""
+"""The feature `view`: starts the live view in the server's process."""
 
 from __future__ import annotations
 
@@ -15,25 +15,26 @@ from anyio import from_thread
 from rn_standard.http.feature import HttpFeature
 from rn_standard.http.options import HttpOptions
 from rn_standard.http.tokens import TokenFiles, read_tokens
-from rn_view.access import ViewAccess, check_address, check_port, host_rules
-from rn_view.event_list import ToolCalls
-from rn_view.live import LiveOperator, LiveSource
+from rn_view.diagnostics.event_list import ToolCalls
 from rn_view.options import ViewOptions
-from rn_view.past_tasks import Camera, TaskPictures
+from rn_view.sources.server_operator import ServerOperator
+from rn_view.sources.server_source import ServerSource
+from rn_view.tasks.task_pictures import Camera, TaskPictures
+from rn_view.web.access import ViewAccess, check_address, check_port, host_rules
 from roboneuron import Feature, Host, Tool
 from roboneuron.feature import Config, load_profile
 
 if TYPE_CHECKING:
-    from rn_view.viewer import Viewer
+    from rn_view.web.view_server import ViewServer
 
 HEARTBEAT = "heartbeat"
-"""Of rn-serve-http: it only renews the lease."""
+"""Tool of the feature `http` that only renews the lease."""
 
 
 class ViewFeature(Feature[ViewOptions]):
-    """Serves the page when `[view] enabled` says so."""
+    """Serves the page if `[view] enabled` is true."""
 
-    viewer: Viewer | None = None
+    viewer: ViewServer | None = None
     _shared: _SharedPage | None = None
 
     def check(self, config: Config) -> None:
@@ -44,28 +45,28 @@ class ViewFeature(Feature[ViewOptions]):
             check_address(self.options, read_tokens(http.tokens, os.environ))
 
     def reserve(self, config: Config) -> None:
-        """Refuse to start while another server serves its page on this port."""
+        """Check that the port is free. Refuses while another process listens on it."""
         if self.options.enabled:
             http = HttpOptions.of(config)
             check_port(self.options, read_tokens(http.tokens, os.environ))
 
     def tools(self, host: Host) -> Sequence[Tool]:
-        """No tools; starts to listen to the server's events."""
+        """Add no tools, but listen to the server's events."""
         if self.options.enabled:
-            self._source = LiveSource(host)
+            self._source = ServerSource(host)
             host.events.health.listen(self._source.on_health)
             host.events.fault.listen(self._source.on_fault)
             pictures = TaskPictures(self._source.past_tasks, partial(_main_camera, host))
             host.tools.admissions.append(pictures.admit)
             host.events.call.listen(pictures.on_call)
             calls = ToolCalls(self._source.shown_events, partial(_is_quiet, host))
-            # not there before
+            # the server exists only then
             host.events.open.listen(lambda: host.server.middleware.append(calls))
         return ()
 
     def start(self, host: Host) -> None:
-        """Serve the page; robots with the same address share one page, on which the robot can be
-        chosen.
+        """Serve the page. Robots with the same address share one page with a choice of the
+        robot.
         """
         if not self.options.enabled:
             return
@@ -74,8 +75,8 @@ class ViewFeature(Feature[ViewOptions]):
             tokens=TokenFiles(http.options.tokens, os.environ),
             rules=host_rules(self.options, http.options),
         )
-        operator = LiveOperator(host, http.lease)
-        with contextlib.suppress(RuntimeError):  # not called by a server that serves
+        operator = ServerOperator(host, http.lease)
+        with contextlib.suppress(RuntimeError):  # not called by a serving server
             operator.loop = from_thread.run_sync(asyncio.get_running_loop)
         self._shared = _SharedPage.join(
             self.options, host.config.namespace, self._source, admission, operator
@@ -83,7 +84,7 @@ class ViewFeature(Feature[ViewOptions]):
         self.viewer = self._shared.viewer
 
     def close(self) -> None:
-        """Close the page: the first of the robots that share it does so, as the server is
+        """Close the page. The first of the robots that share it closes it, because the server is
         closing.
         """
         if self._shared is not None:
@@ -91,14 +92,14 @@ class ViewFeature(Feature[ViewOptions]):
 
 
 class _SharedPage:
-    """The page of all robots of this process whose configuration names the same address: it can be
-    bound only once.
+    """Page of all robots of this process with the same configured address, which can be bound only
+    once.
     """
 
     _in_use: ClassVar[dict[tuple[str, int], _SharedPage]] = {}
     _lock: ClassVar[threading.Lock] = threading.Lock()
 
-    def __init__(self, viewer: Viewer, address: tuple[str, int]) -> None:
+    def __init__(self, viewer: ViewServer, address: tuple[str, int]) -> None:
         self.viewer = viewer
         self._address = address
 
@@ -107,12 +108,12 @@ class _SharedPage:
         cls,
         options: ViewOptions,
         name: str,
-        source: LiveSource,
+        source: ServerSource,
         admission: ViewAccess,
-        operator: LiveOperator,
+        operator: ServerOperator,
     ) -> _SharedPage:
-        """The page at that address; it also shows this robot from now on."""
-        from rn_view.viewer import Viewer  # heavy
+        """Add a robot to the page at its address; creates the page for the first."""
+        from rn_view.web.view_server import ViewServer  # heavy
 
         address = options.host, options.port
         with cls._lock:
@@ -120,7 +121,7 @@ class _SharedPage:
             if found is not None:
                 found.viewer.join(name, source, operator)
                 return found
-            made = cls(Viewer(options, {name: source}, admission, operator), address)
+            made = cls(ViewServer(options, {name: source}, admission, operator), address)
             made.viewer.open()
             cls._in_use[address] = made
             return made

@@ -20,8 +20,8 @@ class ViewOptions(Section):
         default=8780, description="port; 0: any free one"
     )
     image_hz: Annotated[float, Field(gt=0, le=60)] = Field(
-        default=15.0, description="most pictures a second of each camera"
+        default=15.0, description="maximum image rate of each camera"
     )
     max_viewers: Annotated[int, Field(ge=1, le=64)] = Field(
-        default=8, description="most pages at once"
+        default=8, description="maximum number of pages at once"
     )

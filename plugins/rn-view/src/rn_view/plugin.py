@@ -1,4 +1,4 @@
-"""What this package offers; standard library and descriptors only."""
+"""Descriptors of this package; imports nothing else."""
 
 from roboneuron import CommandSpec, FeatureSpec, hookimpl
 
@@ -14,7 +14,7 @@ FEATURE = FeatureSpec(
 
 COMMAND = CommandSpec(
     name="view",
-    summary="show the robot of a running server in a browser, without its help",
+    summary="show the robot of a running server in a browser; the server needs no view",
     target="rn_view_attached.command:ViewCommand",
 )
 """Descriptor of the command."""

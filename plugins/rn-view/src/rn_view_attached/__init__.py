@@ -1,1 +1,1 @@
-"""The command `roboneuron view`: the same page in a process of its own, beside a server."""
+"""The command `roboneuron view`: the page in a process of its own, beside any server."""

@@ -17,14 +17,13 @@ if TYPE_CHECKING:
 
 
 class ViewCommand:
-    """Show the robot of a running server in a browser, from the ROS graph and its state directory;
-    or a recording.
+    """Show the robot of a running server in a browser, or play a recording.
 
-    Works beside any server and publishes nothing. The page has the emergency stop and no other
-    button. Give the server's configuration: it names the robot, its namespace and the state
-    directory.
+    Reads the ROS graph and the state directory. Works beside any server and publishes nothing. The
+    only button of the page is the emergency stop. Give the configuration of the server: it names
+    the robot, its namespace and the state directory.
 
-    With --run the page plays a recording of rn-recorder, with a slider for the time; that needs no
+    With --run the page plays a recording of rn-recorder, with a slider for the time. This needs no
     robot and no ROS.
     """
 
@@ -34,19 +33,18 @@ class ViewCommand:
             "--config", type=Path, metavar="FILE", help="the server's roboneuron.toml"
         )
         parser.add_argument(
-            "--state", type=Path, metavar="DIRECTORY", help="its state directory, if it is another"
+            "--state",
+            type=Path,
+            metavar="DIRECTORY",
+            help="state directory of the server, if not as configured",
         )
-        parser.add_argument("--robot", metavar="NAME", help="this one of several robots only")
+        parser.add_argument("--robot", metavar="NAME", help="show only this one of several robots")
         parser.add_argument(
             "--run", help='play a recording: its id, "latest", or a path of MCAP files'
         )
-        parser.add_argument(
-            "--directory", type=Path, help="with --run: the directory of runs itself"
-        )
-        parser.add_argument("--host", help="address to listen on; `view.host` without it")
-        parser.add_argument(
-            "--port", type=int, help="port, 0 for any free one; `view.port` without it"
-        )
+        parser.add_argument("--directory", type=Path, help="with --run: directory of the runs")
+        parser.add_argument("--host", help="address to listen on; default: `view.host`")
+        parser.add_argument("--port", type=int, help="port, 0: any free one; default: `view.port`")
 
     def run(self, arguments: Namespace) -> int:
         """Serve the page until Ctrl-C."""
@@ -54,10 +52,10 @@ class ViewCommand:
 
         from rn_standard.http.options import HttpOptions
         from rn_standard.http.tokens import TokenFiles
-        from rn_view.access import ViewAccess, host_rules
         from rn_view.options import ViewOptions
         from rn_view.plugin import FEATURE
-        from rn_view.viewer import Viewer
+        from rn_view.web.access import ViewAccess, host_rules
+        from rn_view.web.view_server import ViewServer
         from roboneuron.command import discover, feature_options, load_config
 
         config = load_config(arguments.config)
@@ -76,13 +74,17 @@ class ViewCommand:
             tokens=TokenFiles(http.tokens, os.environ), rules=host_rules(options, http)
         )
         source, graph = _sources(arguments, robots, discover(config.disabled_plugins))
-        viewer = Viewer(options, source, admission, None)
+        viewer = ViewServer(options, source, admission, None)
         signal.signal(signal.SIGTERM, signal.default_int_handler)
         try:
             graph.open()
             try:
                 viewer.open()
-                print(f"The view is at {viewer.url}; Ctrl-C ends it.", file=sys.stderr, flush=True)
+                print(
+                    f"The view is at {viewer.url}; stop it with Ctrl-C.",
+                    file=sys.stderr,
+                    flush=True,
+                )
                 signal.pause()
             finally:
                 viewer.close()
@@ -93,10 +95,10 @@ class ViewCommand:
 
 
 def _chosen(config: Config, robot: str | None) -> dict[str, Config]:
-    """The configurations of the robots to show by their names; "" for a server's only robot.
+    """Configurations of the robots to show, by name; "" for an only robot.
 
     Raises:
-        ConfigurationError: there is none of that name.
+        ConfigurationError: there is no robot of that name.
     """
     if robot is None:
         return config.robots or {"": config}
@@ -111,19 +113,20 @@ def _chosen(config: Config, robot: str | None) -> dict[str, Config]:
 def _sources(
     arguments: Namespace, robots: dict[str, Config], registry: Registry
 ) -> tuple[dict[str, AttachedSource] | RecordedSource, ViewNode | RecordedSource]:
-    """What the pages show, and the object to open before and close after that."""
+    """Sources of the pages, and the object to open before them and close after them."""
     config = next(iter(robots.values()))
     if arguments.run is not None:
         if len(robots) > 1:
             known = ", ".join(robots)
             raise ConfigurationError(
-                "A recording is of one robot.", hint=f"--robot names one of: {known}."
+                "A recording holds one robot, but the configuration has several.",
+                hint=f"--robot names one of: {known}.",
             )
         recorded = _recorded(arguments, config, registry)
         return recorded, recorded
     if arguments.directory is not None:
         raise ConfigurationError(
-            "--directory goes with --run.", hint="--state names a server's state directory."
+            "--directory needs --run.", hint="For the state directory of a server use --state."
         )
     from rn_view_attached.source import AttachedSource, ViewNode
     from roboneuron.command import environment, reading
@@ -143,12 +146,12 @@ def _sources(
 
 
 def _recorded(arguments: Namespace, config: Config, registry: Registry) -> RecordedSource:
-    """A run of the recorder."""
+    """Source that plays a run of the recorder."""
     try:
         from rn_recorder_runs.command import find_run, open_store
     except ImportError as error:
         raise MissingDependencyError(
-            "Recordings are read by rn-recorder, which is not installed.",
+            "Reading recordings needs rn-recorder, which is not installed.",
             hint="Run: pip install ./plugins/rn-recorder",
         ) from error
     from rn_view_recorded.source import RecordedSource

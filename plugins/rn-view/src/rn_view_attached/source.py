@@ -1,5 +1,5 @@
-"""A view of a robot that another process serves: from the ROS graph, the emergency stop's file and
-the audit.
+"""Source of a view beside a server: the ROS graph, the file of the emergency stop, and the
+audit.
 """
 
 from __future__ import annotations
@@ -12,23 +12,21 @@ from typing import TypeVar
 
 from rn_standard.console.diagnostics import DiagnosticsListener
 from rn_standard.console.status import ReportedModule, ServerStatus
-from rn_view.acting_limits import limit_counts
-from rn_view.event_list import AuditReader, EventList, add_record
-from rn_view.live import robot_profile
-from rn_view.module_health import HealthLines
-from rn_view.source import ModuleRow, PageState, said_of
+from rn_view.diagnostics.active_limits import limit_counts
+from rn_view.diagnostics.event_list import AuditReader, EventList, add_record
+from rn_view.diagnostics.module_health import HealthLines
+from rn_view.sources.source import MODULE_KINDS, ModuleRow, PageState, module_row, robot_profile
 from roboneuron import RobotProfile
 from roboneuron.command import AuditLog, Config, Registry, estop
 
 M = TypeVar("M")
-_ORDER = ("robot", "perception", "inference", "control")
 
 
 class ViewNode:
-    """The view's place in the ROS graph, one for all robots; `open` joins it.
+    """The view's connections to the ROS graph, shared by all robots; made by `open`.
 
     Args:
-        state_directory: of the server that is looked at.
+        state_directory: of the server.
     """
 
     def __init__(self, state_directory: Path) -> None:
@@ -49,15 +47,15 @@ class ViewNode:
 
 
 class AttachedSource:
-    """Source of a view in a process of its own. It publishes nothing; its stop is the file that
-    every module looks at.
+    """Source of a view in a process of its own. It publishes nothing. Its stop is the file that
+    every module polls.
 
     Args:
-        config: of the server that is looked at.
-        registry: the plugins installed here; the robot's must be among them.
-        state_directory: of that server; with several robots the folder of this one.
-        graph: open as long as somebody looks; whoever made it opens and closes it.
-        is_one_of_several: what other robots report is not of this one.
+        config: of the server.
+        registry: plugins installed here; must include the robot's.
+        state_directory: of the server; with several robots the folder of this one.
+        graph: connections to ROS; the caller opens and closes them.
+        is_one_of_several: ignore the modules of other robots.
     """
 
     label = "attached"
@@ -100,7 +98,7 @@ class AttachedSource:
         modules = {module.module: module for module in self._modules()}
         inference = modules.get("inference")
         control = modules["control"].metrics if "control" in modules else {}
-        rows = tuple(_row(kind, modules.get(kind)) for kind in _ORDER)
+        rows = tuple(_row(kind, modules.get(kind)) for kind in MODULE_KINDS)
         for row in rows:
             before = self._healths.get(row.kind, "stopped")
             if row.health != before:
@@ -120,7 +118,7 @@ class AttachedSource:
         """See Source."""
         return estop.EmergencyStopLatch.in_directory(self._state_directory).is_latched()
 
-    def look(self) -> None:
+    def poll(self) -> None:
         """See Source."""
         for record in self._audit.read_new():
             add_record(self.shown_events, record)
@@ -134,16 +132,16 @@ class AttachedSource:
         return link.follow(message_type, place, callback)
 
     def press_stop(self, who: str) -> str:
-        """See Source: writes the file that `roboneuron estop` writes."""
+        """See Source. Writes the same file as `roboneuron estop`."""
         latch = estop.EmergencyStopLatch.in_directory(self._state_directory)
         audit = AuditLog.in_directory(self._state_directory)
         latch.latch(who=who, reason="pressed in the attached view", audit=audit)
         audit.close()
-        return "Latched in the file that every module looks at 50 times a second."
+        return "Latched in the file that every module reads 50 times a second."
 
     def _modules(self) -> tuple[ReportedModule, ...]:
-        """Modules of this robot. A server of one robot may run another robot than the configuration
-        names; its modules are shown then.
+        """Modules of this robot. With one robot, the server may run another one than configured;
+        then the modules of that robot are shown.
         """
         found = self._graph.diagnostics.read_status()
         own = [status for status in found if status.namespace == self._config.namespace]
@@ -153,15 +151,5 @@ class AttachedSource:
 def _row(kind: str, module: ReportedModule | None) -> ModuleRow:
     if module is None:
         return ModuleRow(kind=kind, health="stopped")
-    error = module.error.message if module.error is not None else ""
-    waits = f"waits for {module.waiting_for}" if module.waiting_for else ""
-    return ModuleRow(
-        kind=kind,
-        health=module.health,
-        text=error or waits or said_of(module.note, module.metrics),
-        rate_hz=module.rate_hz,
-        latency_ms=module.latency_ms,
-        latency_p99_ms=module.latency_p99_ms,
-        age_ms=module.age_ms,
-        dropped=module.dropped,
-    )
+    error = "" if module.error is None else module.error.message
+    return module_row(kind, module.health, module, error=error)

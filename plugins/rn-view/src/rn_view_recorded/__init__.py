@@ -1,1 +1,1 @@
-"""A recorded run in the view: `roboneuron view --run RUN`. Needs rn-recorder."""
+"""Source of a view that plays a recorded run: `roboneuron view --run RUN`. Needs rn-recorder."""

@@ -1,6 +1,4 @@
-"""What a run says of the server: tool calls, faults, health of modules, the gate, instructions, by
-their times.
-"""
+"""Events of a recorded run by time: tool calls, faults, module health, the gate, instructions."""
 
 from __future__ import annotations
 
@@ -11,8 +9,9 @@ from contextlib import suppress
 from typing import Any, TypeVar
 
 from rn_recorder_runs.timeline import Timeline
-from rn_view.event_list import EventList, ShownEvent, add_record, shown_arguments
-from rn_view.playback import Mark
+from rn_view.diagnostics.event_list import EventList, ShownEvent, add_record, shown_arguments
+from rn_view.recordings.playback import Mark
+from rn_view.sources.source import chosen_plugin
 from roboneuron.command import FAULTS
 
 T = TypeVar("T", bound=tuple[Any, ...])
@@ -21,12 +20,12 @@ _STOPS = {"latched": True, "restored": True, "reset": False}
 """Verdicts of the audit that say whether the emergency stop is latched."""
 _MARKED = ("call", "fault", "episode_end")
 _QUIET = ("get_", "list_", "read_")
-"""Beginnings of tools that only look: in the list when they failed."""
+"""Prefixes of tools that only read. Only their failures are listed."""
 _NS = 1e-9
 
 
 class RunLog:
-    """All events of a run, read at once, and what they say of a moment.
+    """All events of a run, and the state at a time according to them. Read once.
 
     Attributes:
         marks: moments to jump to.
@@ -42,7 +41,7 @@ class RunLog:
         marks: list[Mark] = []
         for topic in (EVENTS, AUDIT):
             for record in timeline.between(topic, -1, timeline.end_ns):
-                with suppress(ValueError):  # what another program wrote there
+                with suppress(ValueError):  # written by another program
                     told = json.loads(timeline.decode(record).data)
                     (self._add_event if topic == EVENTS else self._add_verdict)(
                         told, record.log_ns, marks
@@ -58,27 +57,29 @@ class RunLog:
         self._times_ns = [round(event.at_s / _NS) for event in self._sorted]
 
     def lines(self, at_ns: int) -> list[ShownEvent]:
-        """Events until then, oldest first."""
+        """Events up to that time, oldest first."""
         return self._sorted[: bisect_right(self._times_ns, at_ns)]
 
     def health(self, module: str, at_ns: int) -> tuple[str, str]:
-        """Health of a module at that time and its reason, as the server reported it; empty before
+        """Health of a module at that time and its reason, as reported by the server; empty before
         the first report.
         """
         _, health, why = _newest(self._health.get(module, []), at_ns) or (0, "", "")
         return health, why
 
     def chosen(self, module: str, at_ns: int) -> str:
-        """What a module was started with, such as a backend; empty when not recorded."""
+        """Name of the plugin that a module was started with, such as a backend; empty if not
+        recorded.
+        """
         return (_newest(self._chosen.get(module, []), at_ns) or (0, ""))[1]
 
     def stop(self, at_ns: int) -> tuple[bool, str]:
-        """Whether the emergency stop was latched then, and who caused it and why."""
+        """Whether the emergency stop was latched at that time, and who pressed it and why."""
         _, is_latched, cause = _newest(self._stops, at_ns) or (0, False, "")
         return is_latched, cause
 
     def instruction(self, at_ns: int) -> str:
-        """The instruction given to the backend."""
+        """Instruction of the policy at that time."""
         return (_newest(self._instructions, at_ns) or (0, ""))[1]
 
     def _add_event(self, told: Mapping[str, Any], at_ns: int, marks: list[Mark]) -> None:
@@ -99,16 +100,8 @@ class RunLog:
             self._health.setdefault(module, []).append((at_ns, health, why if is_bad else ""))
             text = f"{module}: {health}{f': {why}' if is_bad else ''} (was {told.get('before')})"
         elif what == "change":
-            names = told.get("names") or {}
-            named = next(
-                (
-                    names[key]
-                    for key in ("robot", "source", "backend", "controller")
-                    if key in names
-                ),
-                "",
-            )
-            self._chosen.setdefault(module, []).append((at_ns, str(named)))
+            named = chosen_plugin(told.get("names") or {})
+            self._chosen.setdefault(module, []).append((at_ns, named))
             return
         elif what == "fault":
             is_bad, text = True, f"{module}: {told.get('fault')}: {told.get('explanation', '')}"
@@ -126,7 +119,7 @@ class RunLog:
     def _add_verdict(self, told: Mapping[str, object], at_ns: int, marks: list[Mark]) -> None:
         verdict = str(told.get("verdict", ""))
         if not verdict or verdict.endswith("allowed"):
-            return  # in the list as a tool call already
+            return  # listed already as a tool call
         add_record(self._lines, {**told, "time_ns": at_ns})
         if verdict in _STOPS:
             self._stops.append(

@@ -1,6 +1,4 @@
-"""A recorded run as the source of a view: its messages are delivered as the topics would, at the
-time that is shown.
-"""
+"""A recorded run as the source of a view: delivers its messages like the topics did."""
 
 from __future__ import annotations
 
@@ -18,40 +16,38 @@ from rn_recorder_runs.episodes import stamp_of
 from rn_recorder_runs.files import Record
 from rn_recorder_runs.images import pixels_of
 from rn_recorder_runs.timeline import Timeline
-from rn_view.acting_limits import limit_counts
-from rn_view.event_list import ShownEvent
-from rn_view.live import robot_profile
-from rn_view.playback import Playback
-from rn_view.source import ModuleRow, PageState, said_of
+from rn_view.diagnostics.active_limits import limit_counts
+from rn_view.diagnostics.event_list import ShownEvent
+from rn_view.recordings.playback import Playback
+from rn_view.sources.source import MODULE_KINDS, ModuleRow, PageState, module_row, robot_profile
 from rn_view_recorded.log import RunLog
 from roboneuron import InvalidInputError, RobotProfile, StateError
 from roboneuron.command import Config, ModuleView, Periodic, Registry, Report
 
 log = logging.getLogger(__name__)
 M = TypeVar("M")
-_KINDS = ("robot", "perception", "inference", "control")
 _STEP_S = 1 / 30
 _HISTORY_S = 30.0
-"""So much of the actions and of the TCP's path is shown after a jump."""
+"""Length of the actions and of the TCP's trail shown after a jump."""
 _MOST_HISTORY = 300
 _FRESH_S = 1.0
-"""Modules report five times a second; what is older says nothing of a moment."""
+"""Maximum age of a report; modules report five times a second."""
 _WHOLE = ("action", "ee_pose")
-"""Topics of which every message is delivered; of others the newest of each step."""
+"""Topics whose every message is delivered; of others only the newest in each step."""
 
 
 class RecordedSource:
     """Source of a view of one run. Nothing is connected to ROS and nothing is sent.
 
     Args:
-        run: what the run is called.
+        run: name of the run.
         files: its MCAP files.
-        config: what holds where the run does not say how its robot was configured.
-        registry: installed plugins; the recorded robot's must be among them.
-        clock: of playing [s].
+        config: used if the run does not hold the configuration of its robot.
+        registry: installed plugins; must include the recorded robot's.
+        clock: for the playback [s].
 
     Raises:
-        InvalidInputError: the run holds no messages.
+        InvalidInputError: the run has no messages.
         OSError: it cannot be read.
     """
 
@@ -73,8 +69,8 @@ class RecordedSource:
         begin_ns, end_ns = self._timeline.begin_ns, self._timeline.end_ns
         self.playback = Playback(run, begin_ns / 1e9, (end_ns - begin_ns) / 1e9, self._log.marks)
         self._lock = threading.RLock()
-        """Guards the timeline and the fields below: pages, their thread of states, and the one that
-        plays.
+        """Guards the timeline and the fields below, used by the threads of the pages and of the
+        playback.
         """
         self._callbacks: dict[str, list[Callable[[Any], None]]] = {}
         self._shown_ns = begin_ns
@@ -87,17 +83,17 @@ class RecordedSource:
         self._player = Periodic("view-playback", _STEP_S, self.step)
 
     def open(self) -> None:
-        """Start to play."""
+        """Start the playback thread."""
         self._player.start()
 
     def close(self) -> None:
-        """Stop playing; idempotent."""
+        """Stop the playback thread; idempotent."""
         self._player.close()
 
     @property
-    def shown_events(self) -> _Then:
-        """See Source: the events until the time that is shown."""
-        return _Then(self._log.lines(self._shown_ns))
+    def shown_events(self) -> _EventsUntil:
+        """See Source: events up to the time shown."""
+        return _EventsUntil(self._log.lines(self._shown_ns))
 
     def config(self) -> Config:
         """See Source."""
@@ -122,7 +118,7 @@ class RecordedSource:
             told, control = reports.get("inference"), reports.get("control")
             metrics = {} if control is None else control.metrics
             return PageState(
-                modules=tuple(self._row(kind, reports.get(kind), at_ns) for kind in _KINDS),
+                modules=tuple(self._row(kind, reports.get(kind), at_ns) for kind in MODULE_KINDS),
                 is_latched=latched,
                 cause=cause,
                 instruction=(told.instruction if told is not None else "")
@@ -135,8 +131,8 @@ class RecordedSource:
         """See Source."""
         return False
 
-    def look(self) -> None:
-        """See Source: does nothing, as all events were read already."""
+    def poll(self) -> None:
+        """See Source. Does nothing, because all events have been read already."""
 
     def subscribe(
         self, message_type: type[M], topic: str, callback: Callable[[M], None]
@@ -153,9 +149,9 @@ class RecordedSource:
         return lambda: self._callbacks[place].remove(callback)
 
     def press_stop(self, who: str) -> str:
-        """See Source: always raises; no page of a recording has the button."""
+        """See Source. Always raises; the page of a recording has no such button."""
         raise StateError(
-            "This is a recording: no robot is stopped here.", hint="Use roboneuron estop."
+            "This page plays a recording; it cannot stop a robot.", hint="Use roboneuron estop."
         )
 
     def step(self) -> None:
@@ -163,7 +159,7 @@ class RecordedSource:
         now_s = self._clock()
         elapsed_s, self._stepped_s = now_s - self._stepped_s, now_s
         if not any(self._callbacks.values()):
-            return  # nobody looks
+            return  # no page is open
         self._delivering = threading.get_ident()
         position_s, jumped = self.playback.advance(elapsed_s)
         with self._lock:
@@ -177,7 +173,7 @@ class RecordedSource:
             self._message_s = until_ns / 1e9
 
     def _due(self, topic: str, before_ns: int, until_ns: int, jumped: bool) -> list[Record]:
-        """Messages that are due, oldest first."""
+        """Messages that are due on a topic, oldest first."""
         if topic.rpartition("/")[2] in _WHOLE:
             since_ns = until_ns - round(_HISTORY_S * 1e9) if jumped else before_ns
             found = list(self._timeline.between(topic, since_ns, until_ns))
@@ -196,14 +192,14 @@ class RecordedSource:
                 message = _as_image(message, record)
         except ValueError as error:
             self._unusable.add(record.topic)
-            log.warning("%s cannot be shown: %s", record.topic, error)
+            log.warning("Cannot show %s: %s", record.topic, error)
             return
         self._message_s = record.log_ns / 1e9
         for callback in list(callbacks):
             callback(message)
 
     def _reports_at(self, at_ns: int) -> dict[str, Report]:
-        """Last report of each module by its kind, unless it is too old."""
+        """Newest report of each module by kind, without those that are too old."""
         found: dict[str, Report] = {}
         seen: dict[tuple[int, int], list[tuple[str, Report]]] = {}
         for record in self._timeline.between("/diagnostics", at_ns - round(_FRESH_S * 1e9), at_ns):
@@ -214,11 +210,11 @@ class RecordedSource:
         return found
 
     def _read_reports(self, record: Record) -> list[tuple[str, Report]]:
-        read = []
+        read: list[tuple[str, Report]] = []
         for status in self._timeline.decode(record).status:
             namespace, _, node = status.name.strip("/").rpartition("/")
             kind = next(
-                (kind for kind in _KINDS if node == kind or node.startswith(f"{kind}_")), None
+                (kind for kind in MODULE_KINDS if node == kind or node.startswith(f"{kind}_")), None
             )
             values = {pair.key: pair.value for pair in status.values}
             if kind is not None and namespace == self._config.namespace and "state" in values:
@@ -231,24 +227,12 @@ class RecordedSource:
         if report is None:
             return ModuleRow(kind=kind, health=health or "stopped", text=why, chosen=chosen)
         assessed = ModuleView(kind=kind, phase="running", report=report).health(at_ns / 1e9)  # type: ignore[arg-type]
-        return ModuleRow(
-            kind=kind,
-            health=health or assessed,
-            text=why
-            or report.error
-            or (f"waits for {report.waiting_for}" if report.waiting_for else "")
-            or said_of(report.note, report.metrics),
-            chosen=chosen,
-            rate_hz=report.rate_hz,
-            latency_ms=report.latency_ms,
-            latency_p99_ms=report.latency_p99_ms,
-            age_ms=report.age_ms,
-            dropped=report.dropped,
-        )
+        error = why or report.error
+        return module_row(kind, health or assessed, report, error=error, chosen=chosen)
 
 
-class _Then:
-    """The events until a moment; oldest first."""
+class _EventsUntil:
+    """Events up to a time, oldest first."""
 
     def __init__(self, events: list[ShownEvent]) -> None:
         self._events = events
@@ -260,19 +244,18 @@ class _Then:
 
 
 def _recorded_config(about: dict[str, str], config: Config) -> Config:
-    """The configuration that the run was recorded with; if the run does not hold one, `config` with
-    the recorded robot.
+    """Configuration of the run; if the run does not hold one, `config` with the recorded robot.
 
     Raises:
-        InvalidInputError: the run does not even name its robot.
+        InvalidInputError: the run does not name its robot either.
     """
     try:
         found = Config.model_validate(json.loads(about["config"]))
     except (KeyError, ValueError, ValidationError):
         if "robot" not in about:
-            raise InvalidInputError("The run does not say of which robot it is.") from None
+            raise InvalidInputError("The run does not name its robot.") from None
         log.warning(
-            "The run does not say how its robot was configured: the limits shown are those of now."
+            "The run does not hold its configuration; the limits shown are those configured now."
         )
         robot = config.robot.model_copy(update={"name": about["robot"]})
         found = config.model_copy(update={"robot": robot})
@@ -283,7 +266,7 @@ def _recorded_config(about: dict[str, str], config: Config) -> Config:
 
 
 def _as_image(message: object, record: Record) -> object:
-    """A recorded picture as the image message of its camera."""
+    """Convert a recorded image to the image message of its camera."""
     from sensor_msgs.msg import Image  # heavy
 
     pixels = pixels_of(message, record.type)

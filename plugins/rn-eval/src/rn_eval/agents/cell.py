@@ -188,8 +188,8 @@ async def wait_for_incident(
         await anyio.sleep(_POLL_S)
     if new[0]["module"] != fault.module:
         raise NotReadyError(
-            f"{new[0]['module']} is {new[0]['what']} since {fault.module} was broken: another "
-            "fault than that of the scene is the newest one."
+            f"The newest fault after breaking {fault.module} is not the scene's: "
+            f"{new[0]['module']} is {new[0]['what']}."
         )
 
 

@@ -56,7 +56,7 @@ class Briefing:
         except KeyError:
             raise ConfigurationError(
                 f"The environment variable {INSTRUCTION} is not set.",
-                hint="Agents are started by roboneuron eval agents.",
+                hint="Start agents with roboneuron eval agents.",
             ) from None
         return cls(
             instruction=instruction,
@@ -186,7 +186,7 @@ async def connect() -> AsyncIterator[ToolClient]:
         return
     words = shlex.split(address)
     if not words:
-        raise ConfigurationError(f"The environment variable {SERVER} names no server.")
+        raise ConfigurationError(f"The environment variable {SERVER} does not name a server.")
     server = StdioServerParameters(command=words[0], args=words[1:], env=dict(os.environ))
     async with Client(stdio_client(server)) as client:
         yield ToolClient(client)

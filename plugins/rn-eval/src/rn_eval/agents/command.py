@@ -99,7 +99,7 @@ def run(arguments: Namespace) -> int:
     from rn_eval.agents.run import evaluate_agents
 
     if arguments.workers < 1:
-        raise ConfigurationError("--workers is at least 1.")
+        raise ConfigurationError("--workers must be at least 1.")
     directory: Path = arguments.resume or arguments.out
     records = evaluate_agents(
         _plan(arguments),
@@ -127,7 +127,7 @@ def _plan(arguments: Namespace) -> AgentPlan:
         plan = read_plan_of(arguments.resume, AgentPlan)
     else:
         if arguments.seeds < 1 or arguments.seed < 0 or arguments.time_limit_s < 0:
-            raise ConfigurationError("--seeds has to be at least 1, --seed and a limit at least 0.")
+            raise ConfigurationError("--seeds must be at least 1; --seed and limits at least 0.")
         commands = dict(_named(text) for text in arguments.subject_command)
         subjects = (*arguments.subject, *commands)
         if not subjects:

@@ -185,7 +185,7 @@ def load_agents(directory: Path) -> tuple[AgentPlan, list[AgentRecord]]:
     plan = read_plan_of(directory, AgentPlan)
     records = read_records_of(directory, AgentRecord)
     if not records:
-        raise ConfigurationError(f"{directory} holds no finished episode.")
+        raise ConfigurationError(f"There is no finished episode in {directory}.")
     return plan, records
 
 

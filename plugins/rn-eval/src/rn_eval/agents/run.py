@@ -47,7 +47,8 @@ def chosen_tasks(registry: Registry, families: Sequence[str], names: Sequence[st
     known = {spec.family for spec in specs.values()}
     if unknown := [name for name in families if name not in known]:
         raise ConfigurationError(
-            f"There is no family {unknown[0]!r} of tasks.", hint=f"There are {sorted(known)}."
+            f"There is no family {unknown[0]!r} of tasks.",
+            hint=f"Families: {', '.join(sorted(known))}.",
         )
     for name in names:
         registry.get(AgentTaskSpec, name)

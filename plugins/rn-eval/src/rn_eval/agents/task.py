@@ -125,8 +125,8 @@ class AgentScene:
         alone = (self.zones_m, self.past, self.incidents, self.fault, self.recorded_note)
         if self.companions and any(alone):
             raise ValueError(
-                "A scene with several robots takes no zones, past tasks, faults, incidents and "
-                "recordings: each robot would need its own."
+                "A scene with several robots cannot have zones, past tasks, faults, incidents or "
+                "recordings, because each robot would need its own."
             )
 
     @property

@@ -88,12 +88,12 @@ def _check_twice(case: AccelerationCase) -> None:
         if case.expected is not None:
             require(
                 case.expected(decoder),
-                "apply to a decoder that has the preset is not what the case expects",
+                "a second apply to a decoder does not give what the case expects",
             )
         else:
             require(
                 snapshot(decoder) == once,
-                "apply to a decoder that has the preset changes it further",
+                "a second apply to a decoder changes it again",
             )
 
 
@@ -104,15 +104,14 @@ def _check_contained(case: AccelerationCase) -> None:
     # with random weights a new decoder cannot be compared with an older one
     differ = snapshot(decoder()) != fresh
     _built(case).apply(decoder())
+    require(snapshot(bystander) == before, "apply changed a decoder that it was not given")
     require(
-        snapshot(bystander) == before, "apply changed another decoder than the one it was given"
-    )
-    require(
-        differ or snapshot(decoder()) == fresh, "a decoder made after apply is not as it was before"
+        differ or snapshot(decoder()) == fresh,
+        "a decoder made after apply differs from one made before",
     )
     require(
         snapshot(vars(type(decoder()))) == kind,
-        "apply changed the class of the decoder, thus all of them",
+        "apply changed the class of the decoder, and so every decoder",
     )
 
 
@@ -122,7 +121,7 @@ def _check_foreign(case: AccelerationCase) -> None:
         before = snapshot(foreign)
         what = f"apply to an unknown decoder ({type(foreign).__name__})"
         expect_refusal(partial(preset.apply, foreign), what, InvalidInputError, ConfigurationError)
-        require(snapshot(foreign) == before, f"{what} was refused and yet changed it")
+        require(snapshot(foreign) == before, f"{what} was refused but changed the decoder")
 
 
 def _check_after_refusal(case: AccelerationCase) -> None:
@@ -214,7 +213,7 @@ RULES: tuple[Rule[AccelerationCase], ...] = (
     ),
     _rule(
         "foreign-decoder-refused",
-        "A decoder that the preset does not know is refused and is left as it is.",
+        "A decoder that the preset does not know is refused and not changed.",
         f"{_SOURCE}.apply",
         _check_foreign,
     ),

@@ -124,7 +124,7 @@ def _check_metrics(case: BackendCase) -> None:
         for n, v in chunk.metrics.items()
         if not isinstance(v, (int, float)) or not math.isfinite(v)
     ]
-    require(not odd, f"metrics that are no finite numbers: {', '.join(odd)}")
+    require(not odd, f"metrics that are not finite numbers: {', '.join(odd)}")
     count = len(chunk.metrics)
     require(count <= MOST_METRICS, f"a chunk has {count} metrics, at most {MOST_METRICS} are shown")
     require("\n" not in chunk.note, "the note has more than one line")
@@ -153,12 +153,11 @@ def _check_rows(case: BackendCase) -> None:
     wanted = _rows_wanted(case) if case.rows is None else case.rows
     if wanted is None:
         raise NotApplicable(
-            "options or checkpoint decide how many rows a chunk has; name them as `rows` in the "
-            "case"
+            "options or checkpoint set the number of rows of a chunk; give it as `rows` in the case"
         )
     with loaded(case) as backend:
         count = len(predict(case, backend).actions)
-    require(count == wanted, f"a chunk holds {count} actions, declared are {wanted}")
+    require(count == wanted, f"a chunk holds {count} actions, expected {wanted}")
 
 
 def _check_instructions(case: BackendCase) -> None:
@@ -201,7 +200,7 @@ def _check_step(case: BackendCase) -> None:
     assert isinstance(wanted, (int, float))
     with loaded(case) as backend:
         step_s = predict(case, backend).step_s
-    require(abs(step_s - wanted) <= 1e-6, f"a chunk has step_s {step_s:g}, declared is {wanted:g}")
+    require(abs(step_s - wanted) <= 1e-6, f"a chunk has step_s {step_s:g}, expected {wanted:g}")
 
 
 def _check_quick(case: BackendCase) -> None:
@@ -286,8 +285,8 @@ RULES: tuple[Rule[BackendCase], ...] = (
     *LIFECYCLE.rules(),
     backend_rule(
         "predict-within-horizon",
-        "After `load`, `predict` returns a chunk of at most the declared horizon, from the "
-        "declared inputs alone.",
+        "After `load`, `predict` returns a chunk of at most the declared horizon, and needs "
+        "only the declared inputs.",
         f"{_SOURCE}.predict",
         _check_predict,
     ),
@@ -336,8 +335,8 @@ RULES: tuple[Rule[BackendCase], ...] = (
     ),
     backend_rule(
         "reset-forgets",
-        "After `reset` an observation yields the same chunk, whatever was seen before; samplers "
-        "are seeded there.",
+        "After `reset` the same observation yields the same chunk, whatever came before; "
+        "`reset` seeds samplers.",
         f"{_SOURCE}.reset",
         _check_forgets,
     ),
@@ -349,7 +348,7 @@ RULES: tuple[Rule[BackendCase], ...] = (
     ),
     backend_rule(
         "chunk-kept",
-        "A chunk that was returned is not written to later.",
+        "A returned chunk is not changed later.",
         "roboneuron.contract.action.ActionChunk",
         _check_chunk_kept,
     ),

@@ -100,7 +100,7 @@ def _check_input_kept(case: BackendCase) -> None:
     before = snapshot(observation)
     with loaded(case) as backend:
         predict(case, backend, observation)
-    require(snapshot(observation) == before, "predict wrote into its observation")
+    require(snapshot(observation) == before, "predict changed its observation")
 
 
 def _check_any_size(case: BackendCase) -> None:
@@ -142,19 +142,19 @@ RULES: tuple[Rule[BackendCase], ...] = (
     ),
     backend_rule(
         "missing-state-refused",
-        "A backend that declares to need state refuses an observation without it.",
+        "A backend that declares that it needs state refuses an observation without it.",
         f"{_SOURCE}.predict",
         _check_missing_state,
     ),
     backend_rule(
         "nan-state-refused",
-        "A state that is not finite is refused; a part of it that is not refused has no influence.",
+        "A state with a value that is not finite is refused, or that value has no influence.",
         f"{_SOURCE}.predict",
         _check_nan_state,
     ),
     backend_rule(
         "input-kept",
-        "`predict` accepts read-only images and writes into no part of its observation.",
+        "`predict` accepts read-only images and does not change its observation.",
         "roboneuron.contract.image.frame_from_buffer",
         _check_input_kept,
     ),

@@ -49,15 +49,15 @@ def _check_answers(case: BackendCase) -> None:
         raise NotApplicable("it declares no space")
     space = declared_space(case)
     require(
-        space == declared_space(case), "`space` answers the same question in two different ways"
+        space == declared_space(case), "`space` returned two different spaces for the same options"
     )
     require(
         space.kind != "joint_velocity" or space.rate_hz > 0.0,
-        "`space` says velocities and no rate_hz: nobody knows how long one is held",
+        "`space` says velocities but no rate_hz, so it is unknown how long one is held",
     )
     require(
         space.kind != "joint_delta" or case.spec.needs_state,
-        "`space` says joint_delta, and the descriptor does not say needs_state: nobody knows what "
+        "`space` says joint_delta but the descriptor lacks needs_state, so it is unknown what "
         "the deltas are relative to",
     )
 
@@ -94,7 +94,7 @@ def _check_kept(case: BackendCase) -> None:
     rate_hz = 1.0 / chunk.step_s
     require(
         not space.rate_hz or abs(rate_hz / space.rate_hz - 1.0) <= PERIOD_SHARE,
-        f"a chunk has {rate_hz:.4g} rows a second, declared are {space.rate_hz:g}",
+        f"a chunk has {rate_hz:.4g} rows a second, declared {space.rate_hz:g}",
     )
 
 
@@ -102,13 +102,13 @@ _SOURCE = "roboneuron.plugins.specs.BackendSpec"
 RULES: tuple[Rule[BackendCase], ...] = (
     backend_rule(
         "space-answers",
-        "`space` answers for the case's options with a ControlSpace that can be executed.",
+        "`space` returns a ControlSpace that can be executed for the case's options.",
         _SOURCE,
         _check_answers,
     ),
     backend_rule(
         "space-light",
-        "`space` needs no heavy import: it is asked before anything is loaded.",
+        "`space` needs no heavy import, because it is called before anything is loaded.",
         _SOURCE,
         _check_light,
     ),

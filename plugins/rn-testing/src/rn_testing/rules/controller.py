@@ -283,7 +283,7 @@ def _check_memoryless(case: ControllerCase) -> None:
             compute(controller, make_action(-0.004, 0.001, 0.002), joints)
             compute(controller, make_action(5.0), joints)
             results.append(compute(controller, action, joints))
-    require(bool(np.array_equal(kept, joints.position)), "compute wrote into the measured joints")
+    require(bool(np.array_equal(kept, joints.position)), "compute changed the measured joints")
     first = results[0]
     for again in results[1:]:
         require(type(first) is type(again), "the same input led to a command once and to Hold once")
@@ -300,7 +300,7 @@ def _check_bad_profile(case: ControllerCase) -> None:
         "joints that the URDF lacks": replace(
             profile, arm_joints=("no_such_joint", *profile.arm_joints[1:])
         ),
-        "a URDF that is no XML": replace(profile, urdf="<robot"),
+        "a URDF that is not valid XML": replace(profile, urdf="<robot"),
     }.items():
         odd = replace(case, profile=lambda p=bad: p)  # type: ignore[misc]
 
@@ -356,8 +356,8 @@ RULES: tuple[Rule[ControllerCase], ...] = (
     ),
     controller_rule(
         "bad-numbers-hold",
-        "`compute` holds, and says why, for numbers that are missing, not finite or no time; it "
-        "never raises.",
+        "`compute` holds with a reason, and never raises, for missing or non-finite numbers "
+        "and invalid times.",
         _check_bad_numbers,
     ),
     controller_rule(
@@ -368,18 +368,18 @@ RULES: tuple[Rule[ControllerCase], ...] = (
     ),
     controller_rule(
         "joints-by-name",
-        "Measured joints are taken by name, in any order, others left out.",
+        "Measured joints are taken by name, in any order; other joints are ignored.",
         _check_by_name,
     ),
     controller_rule(
         "memoryless",
-        "The same action and joints yield the same command, from any instance, and the input is "
-        "not written to.",
+        "The same action and joints yield the same command, from any instance; the input is "
+        "not changed.",
         _check_memoryless,
     ),
     controller_rule(
         "bad-profile-refused",
-        "A profile that makes no arm is refused.",
+        "A profile that does not describe an arm is refused.",
         _check_bad_profile,
         f"{_SOURCE}.load",
     ),

@@ -161,7 +161,7 @@ RULES: tuple[Rule[ControllerCase], ...] = (
     ),
     controller_rule(
         "limits-kept",
-        "Near a joint limit no command leaves it, and its residual is true.",
+        "Near a joint limit no command exceeds the limit, and its residual is correct.",
         _check_limits,
     ),
     controller_rule(

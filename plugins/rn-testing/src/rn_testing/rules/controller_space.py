@@ -53,7 +53,7 @@ def _kinds(case: ControllerCase) -> list[str]:
     """Kinds of spaces for `execute`."""
     kinds = [kind for kind in case.spec.spaces if kind not in ("ee_delta", "joint_delta")]
     if not kinds:
-        raise NotApplicable("it declares no other space than ee_delta")
+        raise NotApplicable("it declares only ee_delta")
     return kinds
 
 
@@ -62,7 +62,7 @@ def execute(
 ) -> JointCommand | Hold:
     """Call `execute`; check that a refusal has a reason."""
     if not isinstance(controller, SpaceController):
-        raise Violation("it declares spaces, and has no `execute`")
+        raise Violation("it declares spaces but has no `execute`")
     try:
         result = controller.execute(space, row, joints, step_s)
     except Exception as error:
@@ -144,7 +144,7 @@ def _check_end(
         off_m, off_rad = distance(place, wanted)
         require(
             off_m <= sent.residual_m + TRUTH_M and off_rad <= sent.residual_rad + TRUTH_RAD,
-            f"a row of ee_pose ends {off_m:.4f} m and {off_rad:.4f} rad beside its pose, the "
+            f"a row of ee_pose ends {off_m:.4f} m and {off_rad:.4f} rad from its pose, the "
             f"command says {sent.residual_m:.4f} m and {sent.residual_rad:.4f} rad",
         )
         far = sent.residual_m > RESIDUAL_M or sent.residual_rad > RESIDUAL_RAD
@@ -152,7 +152,7 @@ def _check_end(
         return
     for name in profile.arm_joints:
         off = abs(reached[name] - by_name(target)[name])
-        require(off <= SAME, f"a row of {space.kind} sends {name} {off:g} beside where it says")
+        require(off <= SAME, f"a row of {space.kind} sends {name} {off:g} away from its target")
 
 
 def _check_opening(sent: JointCommand, profile: RobotProfile, opening: float) -> None:
@@ -199,12 +199,12 @@ def _check_foreign(case: ControllerCase) -> None:
         for space in _spaces(case):
             own = space.channels
             others = {
-                "a channel that the robot has not": (
+                "a channel that the robot does not have": (
                     replace(own[0], name="another_joint"),
                     *own[1:],
                 ),
-                "a channel too much": (*own, Channel(name="another_joint", unit="rad")),
-                "a channel too few": own[1:],
+                "one channel too many": (*own, Channel(name="another_joint", unit="rad")),
+                "one channel too few": own[1:],
                 "channels of another arm": tuple(replace(one, arm="left") for one in own),
             }
             for what, channels in others.items():
@@ -229,7 +229,7 @@ def _check_deltas(case: ControllerCase) -> None:
         answer = execute(controller, space, np.zeros(space.size), joints, STEP_S)
     require(
         isinstance(answer, Hold),
-        "a row of joint_delta, which never reaches a controller, was taken for something else",
+        "a row of joint_delta, which never reaches a controller, was not held",
     )
 
 
@@ -311,8 +311,8 @@ RULES: tuple[Rule[ControllerCase], ...] = (
     ),
     controller_rule(
         "bad-rows-hold",
-        "`execute` holds, and says why, for numbers that are missing, not finite or no time; it "
-        "never raises.",
+        "`execute` holds with a reason, and never raises, for missing or non-finite numbers "
+        "and invalid times.",
         _check_bad_rows,
         _SOURCE,
     ),

@@ -166,7 +166,7 @@ RULES: tuple[Rule[AnyCase], ...] = (
     ),
     Rule(
         id="descriptor/options-default",
-        text="The defaults of the options keep their own bounds.",
+        text="The defaults of the options are within their bounds.",
         source="roboneuron.plugins.specs.Spec",
         check=_check_defaults,
     ),

@@ -138,7 +138,7 @@ def _check_topics_untouched(case: RobotCase) -> None:
     attempt(case, lambda: case.build(topics))
     require(
         not topics.used,
-        f"the constructor uses the topics {', '.join(topics.used)}; that belongs into open()",
+        f"the constructor uses the topics {', '.join(topics.used)}; use them in open()",
     )
 
 
@@ -299,7 +299,7 @@ RULES: tuple[Rule[RobotCase], ...] = (
         "read",
         _check_stamps,
     ),
-    driver_rule("read-quick", "`read` does not wait.", "read", _check_read_quick),
+    driver_rule("read-quick", "`read` does not block.", "read", _check_read_quick),
     driver_rule(
         "send-quick",
         "`send` starts a motion and does not wait for its end.",

@@ -66,7 +66,7 @@ def send_checked(case: RobotCase, driver: RobotDriver, command: JointCommand) ->
     positions = dict(zip(sent.names, sent.position.tolist(), strict=True))
     for name, wanted in zip(command.names, command.position.tolist(), strict=True):
         if name not in positions:
-            raise Violation(f"what was sent lacks the joint {name!r}")
+            raise Violation(f"the command that was really sent lacks the joint {name!r}")
         off = abs(positions[name] - wanted)
         require(
             off <= case.tolerance,
@@ -251,7 +251,7 @@ RULES: tuple[Rule[RobotCase], ...] = (
     ),
     driver_rule(
         "duration-kept",
-        "A motion takes the duration that it was sent with.",
+        "A motion takes the duration of its command.",
         "send",
         _check_duration,
     ),
@@ -268,7 +268,7 @@ RULES: tuple[Rule[RobotCase], ...] = (
         _check_gripper,
     ),
     driver_rule(
-        "newest-command-wins", "A command replaces the one before at once.", "send", _check_newest
+        "newest-command-wins", "A command replaces the previous one at once.", "send", _check_newest
     ),
     driver_rule(
         "velocity-measured",

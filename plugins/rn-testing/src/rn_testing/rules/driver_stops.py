@@ -95,7 +95,7 @@ def _check_open_still(case: RobotCase) -> None:
         moved = _moved(case, driver, start)
     require(
         moved <= case.tolerance,
-        f"nobody sent anything, and after open() a joint moved by {moved:.4f}",
+        f"without any command a joint moved after open() by {moved:.4f}",
     )
 
 
@@ -123,7 +123,7 @@ def _check_fresh(case: RobotCase) -> None:
             if late_s <= STALE_S:
                 return
             holds_within(lambda g=goal: _moved(case, driver, g) <= case.tolerance, case.settle_s)  # type: ignore[misc]
-    told = f"by the stamps of its states every motion begins {min(delays_s):.2f} s late or later"
+    told = f"by the stamps of the states each motion begins {min(delays_s):.2f} s late or later"
     raise Violation(f"{told}; a state is stamped when it was measured")
 
 
@@ -139,7 +139,7 @@ def _check_after_hold(case: RobotCase) -> None:
 RULES: tuple[Rule[RobotCase], ...] = (
     driver_rule(
         "hold-stops",
-        "After `hold` arm and gripper stand still, also on their way.",
+        "After `hold` arm and gripper stand still, also during a motion.",
         "hold",
         _check_hold,
     ),

@@ -51,7 +51,7 @@ def _server(case: FeatureCase, with_feature: bool = True) -> Iterator[Applicatio
     )
 
     def refuse(python: str | None) -> NoReturn:
-        raise AssertionError("a feature starts no module by itself")
+        raise AssertionError("a feature must not start a module by itself")
 
     config = Config.model_validate(
         {"robot": {"name": "gantry"}, "sections": case.sections() if with_feature else {}}
@@ -101,7 +101,7 @@ def _new_tools(case: FeatureCase) -> list[Tool]:
 def _check_described(case: FeatureCase) -> None:
     for tool in _new_tools(case):
         who = f"the tool {tool.name!r}"
-        require(_NAME.fullmatch(tool.name) is not None, f"{who} is no snake_case name")
+        require(_NAME.fullmatch(tool.name) is not None, f"{who} is not a snake_case name")
         # None is fine: it repeats the name, and is not listed
         require(tool.title != "", f"{who} has no title")
         require(
@@ -163,7 +163,7 @@ def _check_gate(case: FeatureCase) -> None:
                 breach = any(name == word or name.startswith(f"{word}.") for word in _FORBIDDEN)
                 require(
                     not breach,
-                    f"{path.name} imports {name}: what moves a robot goes through host.gate",
+                    f"{path.name} imports {name}: use host.gate for everything that moves a robot",
                 )
 
 
@@ -189,7 +189,7 @@ RULES: tuple[Rule[FeatureCase], ...] = (
         source=_SOURCE,
         check=_check_defaults,
     ),
-    Rule(id="feature/loads", text="A server takes it up.", source=_SOURCE, check=_check_loads),
+    Rule(id="feature/loads", text="A server loads it.", source=_SOURCE, check=_check_loads),
     Rule(
         id="feature/tools-described",
         text="Its tools have snake_case names, titles, descriptions, and described arguments.",
@@ -206,7 +206,7 @@ RULES: tuple[Rule[FeatureCase], ...] = (
     Rule(id="feature/process-left-alone", text=ALONE, source=_SOURCE, check=_check_process),
     Rule(
         id="feature/no-way-round-the-gate",
-        text="Its package imports nothing that could publish without the gate.",
+        text="Its package imports nothing that can publish without the gate.",
         source="roboneuron.server.host.Host",
         check=_check_gate,
     ),

@@ -193,7 +193,7 @@ RULES: tuple[Rule[PackageCase], ...] = (
     ),
     Rule(
         id="package/no-unsafe-calls",
-        text="It reads no pickles, runs no text as code and no shell.",
+        text="It loads no pickles, and runs no text as code and no shell.",
         source=PAGE,
         check=_check_safe_calls,
     ),

@@ -89,7 +89,7 @@ def _check_topics_untouched(case: PerceptionCase) -> None:
     attempt(case, lambda: case.build(topics))
     require(
         not topics.used,
-        f"the constructor uses the topics {', '.join(topics.used)}; that belongs into open()",
+        f"the constructor uses the topics {', '.join(topics.used)}; use them in open()",
     )
 
 
@@ -148,7 +148,7 @@ def _check_calibration(case: PerceptionCase) -> None:
         wanted is None or frame.calibration is not None,
         f"{who} carries no calibration, its profile has one",
     )
-    require(is_alike(frame.calibration, wanted), f"{who} has not the calibration of its profile")
+    require(is_alike(frame.calibration, wanted), f"{who} has another calibration than its profile")
 
 
 def _check_own_memory(case: PerceptionCase) -> None:
@@ -184,7 +184,7 @@ def _check_every_camera(case: PerceptionCase) -> None:
     wanted = {camera.name for camera in case.profiles()}
     with opened(case) as (source, topics):
         seen = {read_frame(case, source, topics).camera for _ in range(4 * len(wanted))}
-    require(wanted <= seen, f"no frame came of {', '.join(sorted(wanted - seen))}")
+    require(wanted <= seen, f"no frame came from {', '.join(sorted(wanted - seen))}")
 
 
 SOURCE = "roboneuron.contract.protocols.PerceptionSource"
@@ -207,7 +207,7 @@ RULES: tuple[Rule[PerceptionCase], ...] = (
     ),
     perception_rule(
         "frame-of-a-camera",
-        "A frame is of a camera that was asked for, with that camera's frame_id and size.",
+        "A frame comes from a requested camera, with that camera's frame_id and size.",
         _check_frame,
     ),
     perception_rule(
@@ -222,12 +222,12 @@ RULES: tuple[Rule[PerceptionCase], ...] = (
         "roboneuron.contract.observation.Frame",
     ),
     perception_rule(
-        "frames-own-memory", "A frame is not written to by a later one.", _check_own_memory
+        "frames-own-memory", "A frame is not changed by a later one.", _check_own_memory
     ),
-    perception_rule("memory-bounded", "Memory does not grow with every `read`.", _check_memory),
+    perception_rule("memory-bounded", "Memory does not grow with each `read`.", _check_memory),
     perception_rule(
         "every-camera-served",
-        "Frames come of every camera that was asked for.",
+        "Every requested camera delivers frames.",
         _check_every_camera,
     ),
 )

@@ -108,7 +108,7 @@ def _check_rate(case: PerceptionCase) -> None:
     for camera, found in stamps.items():
         if len(found) >= 3:
             pace_hz = 1e9 / max(1.0, float(np.median(np.diff(found))))
-            told = f"frames of {camera!r} come at {pace_hz:.3g} Hz, declared are {rate_hz:g} Hz"
+            told = f"frames of {camera!r} come at {pace_hz:.3g} Hz, declared {rate_hz:g} Hz"
             require(pace_hz <= TOO_FAST * rate_hz, told)
 
 

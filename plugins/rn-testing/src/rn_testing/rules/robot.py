@@ -97,7 +97,9 @@ def _check_chain(profile: RobotProfile) -> None:
     movable = [joint.name for joint in chain if joint.kind in MOVABLE]
     astray = [n for n in profile.arm_joints if n not in movable]
     require(
-        not astray, f"joints that do not move between base and TCP in the URDF: {', '.join(astray)}"
+        not astray,
+        "arm_joints that are not movable joints between base and TCP in the URDF: "
+        f"{', '.join(astray)}",
     )
     left_out = [n for n in movable if n not in profile.arm_joints]
     require(
@@ -214,7 +216,7 @@ def _check_calibration(
     )
     require(
         bool(upright) and np.allclose(pose[3], [0, 0, 0, 1]),
-        f"{who} has a T_mount_camera that is no pose",
+        f"{who} has a T_mount_camera that is not a pose",
     )
     away_m = float(np.linalg.norm(pose[:3, 3]))
     require(away_m <= FARTHEST_CAMERA_M, f"{who} is {away_m:g} m away; are those millimetres?")
@@ -270,7 +272,7 @@ RULES: tuple[Rule[RobotCase], ...] = (
     ),
     Rule(
         id="robot/limits-sane",
-        text="An arm has finite limits for each joint, lower below upper, the others positive.",
+        text="An arm has finite limits for each joint: lower below upper, the others positive.",
         source="roboneuron.contract.profile.JointLimits",
         check=_check_limits,
     ),

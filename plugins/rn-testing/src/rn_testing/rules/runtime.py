@@ -99,9 +99,7 @@ def _check_repeats(case: RuntimeCase) -> None:
             with suppress(RoboNeuronError):  # the bad request must not have an effect either
                 runtime.run(make())
             again = _run(case, runtime)
-            require(
-                is_alike(first, again), "the same request is answered otherwise after another one"
-            )
+            require(is_alike(first, again), "the answer to a request changes after another request")
 
 
 def _check_fresh(case: RuntimeCase) -> None:
@@ -109,7 +107,7 @@ def _check_fresh(case: RuntimeCase) -> None:
     for _ in range(2):
         with _loaded(case) as runtime:
             answers.append(copy.deepcopy(_run(case, runtime)))
-    require(is_alike(*answers), "a second runtime answers the same request otherwise")
+    require(is_alike(*answers), "a second runtime answers the same request differently")
 
 
 def _check_answer_kept(case: RuntimeCase) -> None:
@@ -126,7 +124,7 @@ def _check_input_kept(case: RuntimeCase) -> None:
     before = snapshot(request)
     with _loaded(case) as runtime:
         _answer(runtime, request)
-    require(snapshot(request) == before, "run wrote into its request")
+    require(snapshot(request) == before, "run changed its request")
 
 
 def _check_quick(case: RuntimeCase) -> None:
@@ -138,14 +136,14 @@ def _check_bad_request(case: RuntimeCase) -> None:
     bad_request = _given(case.bad_request, "bad request")
     with _loaded(case) as runtime:
         expect_refusal(lambda: runtime.run(bad_request()), "run of a bad request")
-        expect_refusal(lambda: runtime.run(object()), "run of an object that is no request")
+        expect_refusal(lambda: runtime.run(object()), "run of an object that is not a request")
 
 
 def _check_bad_model(case: RuntimeCase) -> None:
     _given(case.model, "model")
     runtime = LIFECYCLE.built(case)
     try:
-        expect_refusal(lambda: runtime.load(object()), "load of an object that is no model")
+        expect_refusal(lambda: runtime.load(object()), "load of an object that is not a model")
     finally:
         runtime.close()
 
@@ -199,7 +197,7 @@ def _check_acceleration_stays(case: RuntimeCase) -> None:
         again = _run(case, runtime)
     require(
         is_alike(plain, again),
-        "a runtime without acceleration answers otherwise after another one had one",
+        "a runtime without acceleration answers differently after another runtime used one",
     )
 
 
@@ -267,24 +265,26 @@ RULES: tuple[Rule[RuntimeCase], ...] = (
     _rule("run-expected", "`run` answers what the case expects.", "run", _check_expected),
     _rule(
         "reply-complete",
-        "An answer holds what its request asks for, as its family has it.",
+        "An answer holds what its request asks for, in the form of its model family.",
         "run",
         _check_reply,
     ),
     _rule(
         "run-repeatable",
-        "The same request has the same answer, whatever was run before.",
+        "The same request gets the same answer, whatever was run before.",
         "run",
         _check_repeats,
     ),
-    _rule("instances-agree", "Two runtimes answer one request alike.", "run", _check_fresh),
+    _rule(
+        "instances-agree", "Two runtimes give the same answer to a request.", "run", _check_fresh
+    ),
     _rule(
         "answer-kept",
-        "An answer that was returned is not written to later.",
+        "A returned answer is not changed later.",
         "run",
         _check_answer_kept,
     ),
-    _rule("input-kept", "`run` does not write into its request.", "run", _check_input_kept),
+    _rule("input-kept", "`run` does not change its request.", "run", _check_input_kept),
     _rule("run-quick", "`run` answers within the case's `run_limit_s`.", "run", _check_quick),
     _rule(
         "bad-request-refused",
@@ -294,14 +294,14 @@ RULES: tuple[Rule[RuntimeCase], ...] = (
     ),
     _rule(
         "bad-model-refused",
-        "`load` refuses what is no model of its families.",
+        "`load` refuses everything but models of its families.",
         "load",
         _check_bad_model,
     ),
     _rule(
         "acceleration-accepted",
-        "`load` applies the acceleration it is given, or passes its refusal on, and `run` answers "
-        "with it.",
+        "`load` applies the acceleration it is given, or passes on its refusal; `run` then "
+        "uses it.",
         "load",
         _check_acceleration,
     ),

@@ -136,7 +136,7 @@ async def seen_colours(tools: ToolClient) -> list[str]:
             raise NotReadyError(f"{tool}: {answer.text}")
     answer = await tools.must("get_camera_image", camera="front", format="png")
     if not answer.images:
-        raise NotReadyError("get_camera_image has returned no picture.")
+        raise NotReadyError("get_camera_image returned no image.")
     return visible_colours(answer.images[0])
 
 
@@ -146,7 +146,7 @@ async def newest_fault(tools: ToolClient, **only: object) -> dict[str, object]:
     assert isinstance(found, list)
     faults = [one for one in found if one.get("what") != "restart"]
     if not faults:
-        raise NotReadyError("list_incidents knows of no fault.")
+        raise NotReadyError("list_incidents reports no fault.")
     return dict(faults[0])
 
 

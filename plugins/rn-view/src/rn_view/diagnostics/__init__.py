@@ -1,0 +1,1 @@
+"""Health of modules, alarms, limits that act on the commands, and the list of events."""

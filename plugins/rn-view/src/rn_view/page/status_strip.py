@@ -1,0 +1,29 @@
+"""The strip below the emergency stop: alarms, rates, past tasks and maintenance.
+
+It is plain HTML (static/status_strip.*), so that keyboards and screen readers can use it and a
+reload keeps it.
+"""
+
+from __future__ import annotations
+
+from html import escape
+
+from rn_view.static import read_static, script_element, style_element
+from rn_view.web.page_requests import KEY_HEADER, PATH
+
+_KEY_ID = "rn-page-key"
+
+
+def key_html(key: str) -> str:
+    """HTML element that holds the key for the requests of the page."""
+    return f'<div id="{_KEY_ID}" data-key="{escape(key, quote=True)}"></div>'
+
+
+def with_status_strip(page: str) -> str:
+    """Add the strip and its panel to a page. They are hidden until the holder is known."""
+    config = {"id": _KEY_ID, "path": PATH, "header": KEY_HEADER}
+    page = page.replace("</head>", f"{style_element('status_strip.css')}</head>", 1)
+    # before viser's part, so that it comes right after the stop in the order of Tab
+    root = '<div id="root"></div>'
+    page = page.replace(root, f"{read_static('status_strip.html')}{root}", 1)
+    return page.replace("</body>", f"{script_element('status_strip.js', config)}</body>", 1)

@@ -1,0 +1,1 @@
+"""Past tasks: their history, pictures of start and end, and success rates."""

@@ -1,0 +1,1 @@
+"""Teleoperation from the page: sliders with a goal for followers; sticks, keys and gamepads."""

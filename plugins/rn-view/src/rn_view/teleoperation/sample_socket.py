@@ -1,0 +1,302 @@
+"""Websocket of a page that leads: its samples feed a teleoperator."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+import math
+import secrets
+import threading
+import time
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future
+from typing import Any
+from urllib.parse import parse_qs, urlsplit
+
+import numpy as np
+from websockets.asyncio.server import ServerConnection
+from websockets.exceptions import ConnectionClosed
+
+from rn_standard.teleoperation.samples import LeadFeedback, LeadSample, Subscribe
+from rn_view.teleoperation.stick_panel import RATE_HZ, SOCKET_PATH
+from roboneuron import InvalidInputError, NotReadyError, RoboNeuronError
+
+log = logging.getLogger(__name__)
+Call = Callable[[str, dict[str, object]], "Future[str]"]
+"""Calls a tool as the holder of the page; the future gives the error text, empty on success."""
+Fetch = Callable[[str], "Future[Mapping[str, object]]"]
+"""Calls a tool that only reads, without arguments; the future gives its result, empty on
+failure.
+"""
+_ECHO_S = 0.04
+_MOST_HZ = 6 * RATE_HZ
+"""Maximum number of messages a second; a page of this package sends fewer."""
+_MOST_CHARACTERS = 2000
+_REFUSED, _FLOODED = 4401, 1008
+"""Close codes of the websocket. Source of the second: RFC 6455, 7.4.1."""
+_AGAIN = "Open the page and start to lead again."
+
+
+class PageTeleoperator:
+    """Newest sample of a page; implements `Teleoperator` and `ToldTeleoperator`."""
+
+    def __init__(self) -> None:
+        self._news = threading.Condition()
+        self._sample: LeadSample | None = None
+        self._error: RoboNeuronError | None = None
+        self._offset_s = math.inf
+        self.on_news: Callable[[dict[str, object]], object] = lambda news: None
+
+    def open(self, subscribe: Subscribe) -> None:
+        """Discard old samples. Raises NotReadyError if the page is not connected."""
+        with self._news:
+            if isinstance(self._error, NotReadyError):
+                raise self._error
+            self._sample = self._error = None
+
+    def read(self, timeout_s: float) -> LeadSample | None:
+        """See `Teleoperator`."""
+        with self._news:
+            self._news.wait_for(lambda: self._sample or self._error, timeout_s)
+            if self._error is not None:
+                raise self._error
+            sample, self._sample = self._sample, None
+            return sample
+
+    def close(self) -> None:
+        """See `Teleoperator`; the page stays connected."""
+
+    def tell(self, feedback: LeadFeedback) -> None:
+        """See `ToldTeleoperator`."""
+        self.on_news({"echo": [feedback.number, feedback.who, feedback.limits, feedback.note]})
+
+    def ended(self, reason: str) -> None:
+        """See `ToldTeleoperator`."""
+        self.on_news({"led": False, "text": reason})
+
+    def connected(self) -> None:
+        """Called when the page's websocket opens."""
+        with self._news:
+            self._error, self._offset_s = None, math.inf
+
+    def lost(self, why: str) -> None:
+        """Called when the page has disconnected."""
+        with self._news:
+            self._error = NotReadyError(f"{why}; the arm rests.", hint=_AGAIN)
+            self._news.notify_all()
+
+    def put(self, told: dict[str, Any], now_s: float) -> None:
+        """Handle a message of the page. An invalid one ends its lead.
+
+        Args:
+            told: the decoded JSON.
+            now_s: monotonic time of its arrival.
+        """
+        try:
+            sample = self._sample_of(told, now_s)
+        except (KeyError, TypeError, ValueError) as error:
+            text = f"The page has sent an invalid sample ({type(error).__name__})"
+            with self._news:
+                self._error = InvalidInputError(f"{text}; the arm rests.", hint="Reload the page.")
+                self._news.notify_all()
+            return
+        with self._news:
+            self._sample = sample
+            self._news.notify_all()
+
+    def _sample_of(self, told: dict[str, Any], now_s: float) -> LeadSample:
+        """Convert a message, with its time on our monotonic clock. The offset between the clocks is
+        that of the message with the least delay so far.
+        """
+        sent_s = _number(told["t"])
+        self._offset_s = min(self._offset_s, now_s - sent_s)
+        joint, grip = told.get("joint"), told.get("grip")
+        velocities = {} if joint is None else {str(joint[0]): _number(joint[1])}
+        twist = None if joint is not None else np.array([_number(v) for v in told["twist"]])
+        return LeadSample(
+            number=int(told["n"]),
+            at_s=sent_s + self._offset_s,
+            is_held=told["held"] is True,
+            twist=twist,
+            frame="tool" if told.get("tool") is True else "base",
+            velocities=velocities,
+            gripper_open=None if grip is None else _number(grip),
+        )
+
+
+class LeadSockets:
+    """Websockets of the pages that may lead, by key; usable from any thread."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._sockets: dict[str, _LeadSocket] = {}
+
+    def add(self, name: str, source: PageTeleoperator, call: Call, fetch: Fetch) -> str:
+        """Permit a page to lead; returns its key.
+
+        Args:
+            name: of its teleoperator.
+            source: receives its samples.
+            call: calls a tool for it.
+            fetch: calls a tool that only reads for it.
+        """
+        key = secrets.token_urlsafe(24)
+        with self._lock:
+            self._sockets[key] = _LeadSocket(name, source, call, fetch)
+        return key
+
+    def remove(self, key: str) -> None:
+        """Remove a page that is closed or may no longer lead."""
+        with self._lock:
+            socket = self._sockets.pop(key, None)
+        if socket is not None:
+            socket.source.lost("The page was closed")
+
+    def is_asked(self, connection: ServerConnection) -> bool:
+        """Whether this websocket is for samples of a page, not one of viser."""
+        request = connection.request
+        return request is not None and urlsplit(request.path).path == SOCKET_PATH
+
+    async def serve(self, connection: ServerConnection) -> None:
+        """Serve one websocket until it closes; runs on viser's event loop."""
+        assert connection.request is not None
+        key = parse_qs(urlsplit(connection.request.path).query).get("key", [""])[0]
+        with self._lock:
+            socket = self._sockets.get(key)
+        if socket is None or socket.is_taken:
+            await connection.close(_REFUSED, "This page may not lead the arm.")
+            return
+        await socket.serve(connection)
+
+
+class _LeadSocket:
+    """Websocket of one page that may lead."""
+
+    def __init__(self, name: str, source: PageTeleoperator, call: Call, fetch: Fetch) -> None:
+        self.source = source
+        self.is_taken = False
+        self._name, self._call, self._fetch = name, call, fetch
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._out: asyncio.Queue[dict[str, object]] = asyncio.Queue()
+        self._echo: dict[str, object] | None = None
+        self._echo_due = 0.0
+
+    async def serve(self, connection: ServerConnection) -> None:
+        self.is_taken, self._loop = True, asyncio.get_running_loop()
+        self._out = asyncio.Queue()
+        self.source.on_news = self._from_thread
+        self.source.connected()
+        sending = asyncio.ensure_future(self._send(connection))
+        try:
+            await self._receive(connection)
+        except ConnectionClosed:
+            log.debug("The page %s has disconnected.", self._name)
+        finally:
+            self.source.lost("The page has disconnected")
+            sending.cancel()
+            self.is_taken = False
+
+    async def _receive(self, connection: ServerConnection) -> None:
+        second, count = 0, 0
+        async for message in connection:
+            now_s = time.monotonic()
+            count = count + 1 if int(now_s) == second else 1
+            second = int(now_s)
+            if count > _MOST_HZ or len(message) > _MOST_CHARACTERS:
+                self.source.lost("The page sends too many or too large messages")
+                await connection.close(_FLOODED, "Too many messages.")
+                return
+            try:
+                told = json.loads(message)
+            except ValueError:
+                told = None
+            if not isinstance(told, dict):
+                self.source.put({}, now_s)
+            elif "begin" in told:
+                self._begin(told["begin"])
+            elif "back" in told:
+                self._ask("hand_back", {})
+            elif "operate" in told:
+                self._ask("take_over", {})
+            elif "recordings" in told:
+                self._list()
+            elif "label" in told:
+                self._label(told["label"])
+            else:
+                self.source.put(told, now_s)
+
+    def _begin(self, asked: object) -> None:
+        arguments: dict[str, object] = {"source": self._name}
+        if isinstance(asked, dict):
+            arguments |= {key: asked[key] for key in ("mode", "scale") if key in asked}
+        self._ask("lead_arm", arguments)
+
+    def _list(self) -> None:
+        """Send the list of recordings to the page."""
+
+        def answered(future: Future[Mapping[str, object]]) -> None:
+            found = {} if future.exception() else future.result()
+            self._from_thread({"recordings": found.get("runs", [])})
+
+        self._fetch("list_recordings").add_done_callback(answered)
+
+    def _label(self, asked: object) -> None:
+        """Store a person's label of a recording; the tool checks the arguments."""
+        arguments = dict(asked) if isinstance(asked, dict) else {}
+
+        def answered(future: Future[str]) -> None:
+            failure = str(future.exception() or "") or future.result()
+            self._from_thread({"labelled": arguments.get("run", ""), "text": failure})
+
+        self._call("label_recording", arguments).add_done_callback(answered)
+
+    def _ask(self, tool: str, arguments: dict[str, object]) -> None:
+        def answered(future: Future[str]) -> None:
+            failure = str(future.exception() or "") or future.result()
+            if tool == "lead_arm":
+                self._from_thread({"led": not failure, "text": failure})
+            elif tool == "take_over" and not failure:
+                self._from_thread({"operates": True})
+            elif failure:
+                self._from_thread({"led": False, "text": failure})
+
+        self._call(tool, arguments).add_done_callback(answered)
+
+    def _from_thread(self, news: dict[str, object]) -> None:
+        loop = self._loop
+        if loop is not None and not loop.is_closed():
+            loop.call_soon_threadsafe(self._put, news)
+
+    def _put(self, news: dict[str, object]) -> None:
+        """Queue a message to the page. Of echoes within 40 ms only the newest is sent."""
+        if "echo" not in news:
+            self._out.put_nowait(news)
+            return
+        is_first, self._echo = self._echo is None, news
+        if is_first:
+            asyncio.get_running_loop().call_at(self._echo_due, self._flush)
+
+    def _flush(self) -> None:
+        news, self._echo = self._echo, None
+        self._echo_due = asyncio.get_running_loop().time() + _ECHO_S
+        if news is not None:
+            self._out.put_nowait(news)
+
+    async def _send(self, connection: ServerConnection) -> None:
+        try:
+            while True:
+                await connection.send(json.dumps(await self._out.get()))
+        except ConnectionClosed:
+            log.debug("The page %s has disconnected while receiving.", self._name)
+
+
+def _number(value: object) -> float:
+    """Number from JSON; null is NaN, because JavaScript writes NaN as null. Raises TypeError for
+    other types.
+    """
+    if value is None:
+        return math.nan
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise TypeError(type(value).__name__)
+    return float(value)

@@ -1,0 +1,112 @@
+"""A picture when a task begins and one when it ends; nothing is subscribed to in between."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from view_fakes import picture
+
+from rn_standard.tasks.history import TaskHistory
+from rn_view.tasks import past_tasks, task_pictures
+from rn_view.tasks.past_tasks import PastTasks
+from rn_view.tasks.task_pictures import TaskPictures
+from roboneuron import NotReadyError
+
+pytestmark = pytest.mark.ros
+
+
+class Cell:
+    """A camera that sends one picture to whoever subscribes."""
+
+    def __init__(self, folder: Path) -> None:
+        self.shade: int | None = 10
+        self.open = 0
+        self.tasks = PastTasks(folder)
+        self.history = TaskHistory(folder)
+        self.pictures = TaskPictures(self.tasks, lambda: self.camera)
+
+    def camera(self, on_image: Callable[[Any], None]) -> Callable[[], None]:
+        self.open += 1
+        if self.shade is not None:
+            on_image(picture(self.shade))
+            on_image(picture(255))
+
+        def end() -> None:
+            self.open -= 1
+
+        return end
+
+    def run(self, words: str, ends_with: int | None = 200, *, is_task: bool = True) -> None:
+        self.pictures.admit(SimpleNamespace(name="run_task"), SimpleNamespace())  # type: ignore[arg-type]
+        self.pictures.join(10.0)
+        assert self.open == 0
+        self.shade = ends_with
+        if is_task:
+            self.history.note(words, "succeeded", "")
+        self.pictures.on_call("run_task", {"instruction": words}, "agent", "", 1.0)
+        self.pictures.join(10.0)
+        assert self.open == 0
+
+    def shade_of(self, number: str, *, is_end: bool) -> int:
+        from PIL import Image
+
+        data = self.tasks.picture(number, is_end=is_end)
+        assert data is not None
+        return int(np.asarray(Image.open(io.BytesIO(data))).mean())
+
+
+@pytest.fixture
+def cell(tmp_path: Path) -> Cell:
+    return Cell(tmp_path)
+
+
+def test_a_task_is_shown_as_it_began_and_as_it_ended(cell: Cell) -> None:
+    cell.run("pick up")
+    (task,) = cell.tasks.newest()
+    assert task.pictures == (True, True)
+    assert abs(cell.shade_of(task.number, is_end=False) - 10) <= 2
+    assert abs(cell.shade_of(task.number, is_end=True) - 200) <= 2
+
+
+def test_a_call_that_is_no_task_leaves_the_pictures_of_the_one_before(cell: Cell) -> None:
+    """A preview, or a call that was refused."""
+    cell.run("pick up")
+    cell.shade = 90
+    cell.run("pick up", ends_with=120, is_task=False)
+    (task,) = cell.tasks.newest()
+    assert abs(cell.shade_of(task.number, is_end=False) - 10) <= 2
+    assert abs(cell.shade_of(task.number, is_end=True) - 200) <= 2
+
+
+def test_a_camera_that_is_silent_or_cannot_be_asked_leaves_a_task_without(
+    cell: Cell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(task_pictures, "_PICTURE_S", 0.05)
+    cell.run("pick up", ends_with=None)
+
+    def refuse(on_image: Callable[[Any], None]) -> Callable[[], None]:
+        raise NotReadyError("no ROS")
+
+    monkeypatch.setattr(cell, "camera", refuse)
+    cell.run("put down")
+    assert [task.pictures for task in cell.tasks.newest()] == [(False, False), (True, False)]
+
+
+def test_pictures_are_bounded(cell: Cell, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(past_tasks, "KEPT", 2)
+    for number in range(4):
+        cell.run(f"task {number}")
+    assert len(list(cell.tasks.folder.glob("*.jpg"))) == 4
+
+
+def test_other_calls_are_not_pictured(cell: Cell) -> None:
+    cell.pictures.admit(SimpleNamespace(name="get_status"), SimpleNamespace())  # type: ignore[arg-type]
+    cell.pictures.on_call("get_status", {}, "agent", "", 1.0)
+    cell.pictures.join(1.0)
+    assert not cell.tasks.folder.exists()
