@@ -12,6 +12,7 @@ from pydantic.json_schema import JsonSchemaValue
 
 from rn_standard.direct_path.derived import Derived
 from rn_standard.direct_path.exposed import check_no_preview
+from rn_standard.stepped.clock import CLOSED_METRIC
 from rn_standard.tools_arm.arm_rows import of_named_arm
 from rn_standard.tools_arm.ee_move import EndEffectorMove, MoveEndEffector
 from rn_standard.tools_arm.end_effector import EndEffectorMover
@@ -48,9 +49,7 @@ class PlaceArguments(Arguments):
     """Arguments of place."""
 
     arm: str = Field(default="", description="Arm that holds it.")
-    dx_m: float = Field(
-        default=0.0, ge=-0.5, le=0.5, description="Forwards from where the hand is [m]."
-    )
+    dx_m: float = Field(default=0.0, ge=-0.5, le=0.5, description="Forwards from the hand [m].")
     dy_m: float = Field(default=0.0, ge=-0.5, le=0.5, description="To the left [m].")
     height_m: float | None = Field(
         default=None,
@@ -86,8 +85,16 @@ class GripHeight(Grip):
         super().__init__(host, gate, exposed, arm)
         self._tcp = tcp
         self._opening: float | None = None
-        self.closed_at_m: float | None = None
-        """Height of the TCP [m]; None if not observed."""
+        self._closed_at_m: float | None = None
+        self._metric = f"{arm}/{CLOSED_METRIC}" if arm else CLOSED_METRIC
+
+    @property
+    def closed_at_m(self) -> float | None:
+        """Height of the TCP [m]; None if not observed. In stepped time as control reports it."""
+        is_own = self._exposed.namespace == self._host.config.namespace
+        report = self._host.modules.view("control").report if is_own else None
+        told = "" if report is None else report.metrics.get(self._metric, "")
+        return float(told) if told else self._closed_at_m
 
     def watch(self) -> None:
         """Start observing; does nothing the second time."""
@@ -105,7 +112,7 @@ class GripHeight(Grip):
         before, now = self._opening, self.commanded()
         self._opening = now
         if now is not None and (1.0 if before is None else before) - now > _CLOSES:
-            self.closed_at_m = height_m
+            self._closed_at_m = height_m
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -258,8 +265,7 @@ def place_tool(
         name="place",
         title="Put down what the hand holds",
         description=f"Carry what {robot!r} holds by dx_m, dy_m, lower it to where it was grasped, "
-        "let go, leave "
-        "upwards. Stop the policy first; needs control.",
+        "let go, rise. Stop the policy first; needs control.",
         arguments=Derived(
             model=PlaceArguments, properties=properties, required=["arm"] if several else []
         ),
