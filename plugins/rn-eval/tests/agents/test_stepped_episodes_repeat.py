@@ -57,7 +57,12 @@ def test_a_busy_machine_and_two_workers_play_the_same_episodes(
     pytest.importorskip("ray", reason="needs the extra rn-eval[ray]")
     monkeypatch.setenv("ROS_DOMAIN_ID", str(free_ros_domain()))
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
-    options = ("--subject", "perfect", "--tasks", "look-count,move-by,move-joint,pick-colour,put-sideways")
+    options = (
+        "--subject",
+        "perfect",
+        "--tasks",
+        "look-count,move-by,move-joint,pick-colour,put-sideways",
+    )
     alone = evaluate(tmp_path / "alone", *options)
     busy = [subprocess.Popen([sys.executable, "-c", BUSY]) for _ in range(2)]
     try:
