@@ -18,6 +18,7 @@ from rn_eval.ledger import read_records_of
 from rn_testing.domain import free_ros_domain
 
 BUSY = "while True: pass"
+TASKS_OF_EACH_KIND = "look-count,move-by,move-joint,pick-colour,put-sideways"
 
 
 def evaluate(folder: Path, *options: str) -> dict[str, AgentRecord]:
