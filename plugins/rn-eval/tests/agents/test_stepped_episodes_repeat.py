@@ -10,13 +10,16 @@ from pathlib import Path
 
 import pytest
 
+from rn_eval.agents import run
 from rn_eval.agents.configuration import configuration_of
 from rn_eval.agents.offers import TASKS
-from rn_eval.agents.record import AgentRecord
+from rn_eval.agents.record import AgentPlan, AgentRecord
 from rn_eval.agents.task import AgentScene
 from rn_eval.ledger import read_records_of
 from rn_testing.domain import free_ros_domain
+from roboneuron import ConfigurationError
 
+NICENESS = "RAY_worker_niceness"
 BUSY = "while True: pass"
 TASKS_OF_EACH_KIND = "look-count,move-by,move-joint,put-sideways"
 
@@ -47,6 +50,26 @@ def test_what_depends_on_the_wall_clock_says_so():
     stepped = {task.family for task in TASKS if not task.real_time}
     assert {"look", "move", "pick", "place", "again"} <= stepped - real
     assert {"recover", "clients", "several"} <= real - stepped
+
+
+def test_servers_of_workers_get_as_much_of_a_busy_machine_as_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """Ray would start workers, and with them the servers and modules, with niceness 15."""
+    given: list[str | None] = []
+
+    def connect(*_: object, **__: object) -> None:
+        given.append(os.environ.get(NICENESS))
+        raise ConfigurationError("no cluster")
+
+    monkeypatch.setattr(run, "import_ray", lambda: None)
+    monkeypatch.setattr(run, "connect", connect)
+    monkeypatch.setenv(NICENESS, "")
+    monkeypatch.delenv(NICENESS)
+    plan = AgentPlan(subjects=("perfect",), tasks=("move-by",), seeds=1)
+    with pytest.raises(ConfigurationError):
+        list(run.play_on_workers(plan, tmp_path, [], 2))
+    assert given == ["0"]
 
 
 @pytest.mark.ros
