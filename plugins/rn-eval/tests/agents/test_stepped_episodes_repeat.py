@@ -7,10 +7,14 @@ import subprocess
 import sys
 import tomllib
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
+import anyio
 import pytest
 
 from rn_eval.agents import run
+from rn_eval.agents.client import CALL_TIMEOUT, ToolClient
 from rn_eval.agents.configuration import configuration_of
 from rn_eval.agents.offers import TASKS
 from rn_eval.agents.record import AgentPlan, AgentRecord
@@ -70,6 +74,25 @@ def test_servers_of_workers_get_as_much_of_a_busy_machine_as_others(
     with pytest.raises(ConfigurationError):
         list(run.play_on_workers(plan, tmp_path, [], 2))
     assert given == ["0"]
+
+
+@pytest.mark.parametrize(("given", "expected_s"), [("", 120.0), ("720", 720.0)])
+def test_a_call_may_take_as_long_as_the_episode_says(
+    monkeypatch: pytest.MonkeyPatch, given: str, expected_s: float
+):
+    limits: list[float] = []
+
+    async def call_tool(tool, arguments, read_timeout_seconds):
+        limits.append(read_timeout_seconds)
+        return SimpleNamespace(content=[], is_error=False, structured_content={})
+
+    monkeypatch.setenv(CALL_TIMEOUT, given)
+    if not given:
+        monkeypatch.delenv(CALL_TIMEOUT)
+    client: Any = SimpleNamespace(call_tool=call_tool)
+    assert anyio.run(ToolClient(client).call_with, "run_task", {}).ok
+    assert anyio.run(ToolClient(client).call_with, "run_task", {}, 5.0).ok
+    assert limits == [expected_s, 5.0]
 
 
 @pytest.mark.ros
