@@ -22,6 +22,8 @@ from rn_eval.agents.task import AgentScene
 from rn_eval.ledger import read_records_of
 from rn_testing.domain import free_ros_domain
 from roboneuron import ConfigurationError
+from roboneuron.config import parse_config
+from roboneuron.plugins.discovery import discover
 
 NICENESS = "RAY_worker_niceness"
 BUSY = "while True: pass"
@@ -47,6 +49,10 @@ def test_only_a_stepped_cell_waits_for_commands(tmp_path: Path):
     assert "stepped" not in real["plugins"]["fr3"]
     assert "action_timeout_s" not in real["control"]
     assert stepped["plugins"]["fr3"]["stepped"] is True
+    for section in ("robot", "control"):  # a busy machine freezes servers for seconds
+        assert "server_timeout_s" not in real[section]
+        assert stepped[section]["server_timeout_s"] == 30.0
+    parse_config(configuration_of(scene, tmp_path, "stepped"), registry=discover())
 
 
 def test_what_depends_on_the_wall_clock_says_so():
