@@ -1,14 +1,16 @@
 """Predictions of previews, compared with the result in the simulated cell.
 
-    python benchmarks/bench_preview.py [--scenes 500] [--pushes 50] [--tasks 50] [--minutes 60]
+    python benchmarks/bench_preview.py [--scenes 500] [--pushes 50] [--tasks 50] [--places 20]
+        [--minutes 60]
     python benchmarks/bench_preview.py --judge
 
 A scene is a random posture of the FR3 among cubes, a lamp and a zone, and one call of move_ee or
 move_joints; a push is a move along the table, past a cube or against it; a task is run_task with a
-cube that may be missing. Everything is drawn from its number. The call is made with preview=true,
-then without, at a server of `roboneuron serve` in real time. Each is a line of a ledger in the
-folder; an interrupted run can be resumed, and --judge prints the tables of existing results. A
-joint command sent during a preview would move the joints, so their motion is noted too.
+cube that may be missing; a place is place with a cube in the hand. Everything is drawn from its
+number. The call is made with preview=true, then without, at a server of `roboneuron serve` in real
+time. Each is a line of a ledger in the folder; an interrupted run can be resumed, and --judge
+prints the tables of existing results. A joint command sent during a preview would move the joints,
+so their motion is noted too.
 """
 
 from __future__ import annotations
@@ -252,7 +254,25 @@ async def play_task(cell: Cell, number: int) -> dict[str, Any]:
     return await compare(cell, "run_task", {"instruction": instruction, "until": until, **bounds})
 
 
-PLAYS = {"scenes": play_scene, "pushes": play_push, "tasks": play_task}
+async def play_place(cell: Cell, number: int) -> dict[str, Any]:
+    """Put down a cube that was picked up: beside its place, in the zone, or too far away."""
+    await cell.restart(3000 + number)
+    await cell.must("start_all")
+    chance = random.Random(f"place {number}")
+    colour = chance.choice(list(await cell.cubes()))
+    holds = {"kind": "gripper_holds", "least_open": 0.15, "most_open": 0.85}
+    until = {"kind": "held", "for_s": 1.0, "of": holds}
+    await cell.ask("run_task", {"instruction": f"pick up the {colour} cube", "until": until})
+    await cell.must("stop_inference")
+    await anyio.sleep(REST_S)
+    place = {
+        "dx_m": round(chance.uniform(-0.2, 0.2), 3),
+        "dy_m": round(chance.uniform(-0.3, 0.3), 3),
+    }
+    return await compare(cell, "place", place)
+
+
+PLAYS = {"scenes": play_scene, "pushes": play_push, "tasks": play_task, "places": play_place}
 """Functions that create a line of each ledger."""
 
 
@@ -343,6 +363,7 @@ def main() -> None:
     parser.add_argument("--scenes", type=int, default=500)
     parser.add_argument("--pushes", type=int, default=50, help="along the table, past cubes")
     parser.add_argument("--tasks", type=int, default=50)
+    parser.add_argument("--places", type=int, default=20, help="of a cube in the hand")
     parser.add_argument("--minutes", type=float, default=60.0, help="longest time of this run")
     parser.add_argument("--folder", type=Path, default=Path("out/bench-preview"))
     parser.add_argument("--judge", action="store_true", help="only print what is there")

@@ -22,6 +22,7 @@ from rn_standard.http.feature import HttpFeature
 from rn_standard.preview import feature as feature_module
 from rn_standard.preview.feature import PreviewFeature
 from rn_standard.preview.task import policy_of
+from rn_standard.tools_arm.grip import Grip
 from roboneuron.config import parse_config
 from roboneuron.config.reading import default_text
 from roboneuron.contract import JointSample
@@ -239,6 +240,54 @@ def test_a_preview_that_takes_too_long_says_so(
     assert "longer than 0.001 s" in told["reason"]
 
 
+HELD_M, AIR_M = 0.022, 0.487
+"""Half an edge of a held cube, and the height of the TCP at home."""
+
+
+@pytest.mark.parametrize(
+    ("finger_m", "cube_m", "asked", "outcome", "rule"),
+    [
+        (HELD_M, AIR_M, {"dx_m": 0.1, "dy_m": -0.15}, "reached", ""),
+        (HELD_M, AIR_M, {"dx_m": 0.1, "dy_m": -0.15, "height_m": 0.3}, "reached", ""),
+        (HELD_M, HELD_M, {"dx_m": 0.1}, "stopped", "lost"),
+        (HELD_M, AIR_M, {"dx_m": -0.1, "dy_m": 0.2}, "stopped", "zone"),
+        (0.0, HELD_M, {"dx_m": 0.1}, "refused", "empty_hand"),
+    ],
+)
+def test_what_the_hand_holds_is_put_down_in_the_twin(
+    application: Application,
+    sent: list[str],
+    monkeypatch: pytest.MonkeyPatch,
+    finger_m: float,
+    cube_m: float,
+    asked: dict[str, float],
+    outcome: str,
+    rule: str,
+) -> None:
+    measured = replace(HOME, position=np.array([*HOME_RAD, finger_m, finger_m]))
+    cube = np.array([[0.307, 0.0, cube_m, 0.0, 0.0, 0.0, 1.0]])
+    scene = SceneState(
+        robot="fr3",
+        engine="pybullet",
+        seed=3,
+        cubes=(("red", 2 * HELD_M),),
+        joints=measured.position,
+        cube_poses=cube,
+        stamp_ns=1,
+    )
+    monkeypatch.setattr(application.host.gate, "joints", lambda exposed, timeout_s: measured)
+    monkeypatch.setattr(feature_module, "scene_of", lambda host, twin: to_message(scene))
+    monkeypatch.setattr(Grip, "commanded", lambda self: 0.0)
+    told = previewed(application, "place", **{"height_m": 0.025, **asked})
+    assert (told["outcome"], told["rule"]) == (outcome, rule)
+    assert sent == []
+    if outcome == "reached":
+        lifted_m = asked.get("height_m", 0.025) + 0.08
+        end_m = np.array([0.307 + asked["dx_m"], asked["dy_m"], lifted_m])
+        assert np.linalg.norm(np.array(told["position_m"]) - end_m) < 0.006
+        assert told["collides_with"] == ["red cube"]
+
+
 def test_a_twin_that_dies_ends_one_preview_and_not_the_server(
     application: Application, sent: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -272,6 +321,7 @@ def test_a_twin_that_dies_ends_one_preview_and_not_the_server(
         ("move_ee", {"dx_m": 0.05}),
         ("move_joints", {"positions": {"fr3_joint1": 0.2}}),
         ("move_to", {"name": "home"}),
+        ("place", {"dx_m": 0.1}),
         ("run_task", {"instruction": "pick up the red cube"}),
         ("publish_joint_trajectory", {"message": TRAJECTORY}),
     ],

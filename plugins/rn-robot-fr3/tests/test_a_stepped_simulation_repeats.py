@@ -14,7 +14,7 @@ from rn_robot_fr3.limits import ARM_JOINTS
 from rn_robot_fr3.options import SimulatedFr3Options
 from rn_robot_fr3.profile import HOME_RAD, profile
 from rn_simulation.engine import Engine
-from rn_simulation.stepped import CLOCK_TOPIC, WorldPhase
+from rn_simulation.stepped import CLOCK_TOPIC, TURN_TOPIC, TurnWord, WorldPhase
 from rn_testing.fakes import MemoryTopics
 from rn_testing.waiting import wait_until
 from roboneuron.contract import JointCommand
@@ -44,6 +44,11 @@ class SteppedRun:
     def command(self, position: np.ndarray, duration_s: float = 0.1) -> None:
         self.driver.send(JointCommand(names=ARM_JOINTS, position=position, duration_s=duration_s))
 
+    def rest(self, count: int) -> None:
+        tell = self.topics.advertise(TURN_TOPIC, Float64MultiArray)
+        tell(Float64MultiArray(data=[float(TurnWord.ENDED), float(count)]))
+        self.await_phase(WorldPhase.RESTING, count)
+
     def positions(self) -> np.ndarray:
         return self.driver.read().joints.position
 
@@ -67,7 +72,7 @@ def test_pauses_between_commands_change_nothing(engine: Engine, opened: list[Ste
             run.await_phase(WorldPhase.WAITING, number)
             states.append(run.positions())
             time.sleep(pause_s)
-        run.await_phase(WorldPhase.RESTING, 3)
+        run.rest(3)
         states.append(run.positions())
         seen.append(np.array(states))
     np.testing.assert_array_equal(seen[0], seen[1])
@@ -77,7 +82,7 @@ def test_pauses_between_commands_change_nothing(engine: Engine, opened: list[Ste
 def test_a_hold_at_rest_changes_nothing(engine: Engine, opened: list[SteppedRun]):
     run = SteppedRun(engine)
     opened.append(run)
-    run.command(HOME + 0.05)
+    run.command(HOME + 0.05, 0.5)
     run.await_phase(WorldPhase.RESTING, 1)
     before = run.positions()
     run.command(before[:7], 0.05)

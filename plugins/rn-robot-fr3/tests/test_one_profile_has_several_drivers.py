@@ -11,6 +11,7 @@ from rn_robot_fr3.fci import state_topics
 from rn_robot_fr3.plugin import roboneuron_robots
 from rn_robot_fr3.profile import profile
 from rn_simulation.scene_state import TOPIC
+from rn_simulation.stepped import CLOCK_TOPIC, TURN_TOPIC
 from rn_standard.stepped.clock import OPTION
 from roboneuron.plugins.availability import is_importable
 from roboneuron.plugins.loading import load_options_model, load_target
@@ -58,4 +59,6 @@ def test_the_topics_that_drivers_write_are_named_in_the_profile():
         "CURRENT_POSE",
         "ROBOT_STATE",
     )
-    assert {TOPIC, *(getattr(state_topics, name) for name in names)} == set(profile().own_topics)
+    simulated = {TOPIC, CLOCK_TOPIC, TURN_TOPIC}
+    written = simulated | {getattr(state_topics, name) for name in names}
+    assert written == set(profile().own_topics)

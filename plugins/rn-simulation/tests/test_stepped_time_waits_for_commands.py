@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rn_simulation.stepped import PATIENCE_S, SETTLE_S, SteppedTime, WorldPhase
+from rn_simulation.stepped import ALONE_S, PATIENCE_S, SETTLE_S, SteppedTime, TurnWord, WorldPhase
 
 STEP_S = 1 / 240
 SETTLING = round(SETTLE_S / STEP_S)
@@ -69,3 +69,31 @@ def test_a_hold_settles_at_once_and_moves_no_time_at_rest():
     stepped.command(0.1, 6)
     stepped.settle(7)
     assert stepped.phase is WorldPhase.SETTLING
+
+
+def test_it_settles_when_it_is_told_that_nothing_follows():
+    stepped = rested()
+    stepped.command(0.1, 0)
+    stepped.take_turn(TurnWord.ENDED, 0, 5)
+    assert stepped.phase is WorldPhase.MOVING
+    run(stepped)
+    stepped.take_turn(TurnWord.ENDED, 0, 6)
+    assert stepped.phase is WorldPhase.WAITING  # told of an earlier command
+    stepped.take_turn(TurnWord.ENDED, 1, 7)
+    assert (stepped.phase, stepped.since_ns) == (WorldPhase.SETTLING, 7)
+    assert run(stepped) == SETTLING
+    assert (stepped.phase, stepped.count) == (WorldPhase.RESTING, 1)
+
+
+def test_an_action_that_moves_nothing_counts_without_time():
+    stepped = rested()
+    stepped.take_turn(TurnWord.SKIPPED, 0, 9)
+    assert (stepped.phase, stepped.count, stepped.since_ns) == (WorldPhase.RESTING, 1, 9)
+    assert stepped.grant(100, 0.0, 0) == 0
+
+
+def test_a_long_command_is_no_part_of_a_sequence():
+    stepped = rested()
+    stepped.command(ALONE_S, 0)
+    assert run(stepped) == round(ALONE_S / STEP_S) + SETTLING
+    assert (stepped.phase, stepped.count) == (WorldPhase.RESTING, 1)

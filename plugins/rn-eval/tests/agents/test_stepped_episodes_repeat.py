@@ -7,17 +7,27 @@ import subprocess
 import sys
 import tomllib
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
+import anyio
 import pytest
 
+from rn_eval.agents import run
+from rn_eval.agents.client import CALL_TIMEOUT, ToolClient
 from rn_eval.agents.configuration import configuration_of
 from rn_eval.agents.offers import TASKS
-from rn_eval.agents.record import AgentRecord
+from rn_eval.agents.record import AgentPlan, AgentRecord
 from rn_eval.agents.task import AgentScene
 from rn_eval.ledger import read_records_of
 from rn_testing.domain import free_ros_domain
+from roboneuron import ConfigurationError
+from roboneuron.config import parse_config
+from roboneuron.plugins.discovery import discover
 
+NICENESS = "RAY_worker_niceness"
 BUSY = "while True: pass"
+TASKS_OF_EACH_KIND = "look-count,move-by,move-joint,put-sideways"
 
 
 def evaluate(folder: Path, *options: str) -> dict[str, AgentRecord]:
@@ -26,7 +36,7 @@ def evaluate(folder: Path, *options: str) -> dict[str, AgentRecord]:
     subprocess.run(
         [*command, "--out", str(folder), *options],
         env={k: v for k, v in os.environ.items() if not k.startswith("PYTEST_")},
-        timeout=400,
+        timeout=800,
         check=True,
     )
     return {record.key.task: record for record in read_records_of(folder, AgentRecord)}
@@ -39,25 +49,73 @@ def test_only_a_stepped_cell_waits_for_commands(tmp_path: Path):
     assert "stepped" not in real["plugins"]["fr3"]
     assert "action_timeout_s" not in real["control"]
     assert stepped["plugins"]["fr3"]["stepped"] is True
+    for section in ("robot", "control"):  # a busy machine freezes servers for seconds
+        assert "server_timeout_s" not in real[section]
+        assert stepped[section]["server_timeout_s"] == 30.0
+    parse_config(configuration_of(scene, tmp_path, "stepped"), registry=discover())
 
 
 def test_what_depends_on_the_wall_clock_says_so():
     real = {task.family for task in TASKS if task.real_time}
     stepped = {task.family for task in TASKS if not task.real_time}
-    assert {"look", "move"} <= stepped - real
+    assert {"look", "move", "pick", "place", "again"} <= stepped - real
     assert {"recover", "clients", "several"} <= real - stepped
+
+
+def test_servers_of_workers_get_as_much_of_a_busy_machine_as_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """Ray would start workers, and with them the servers and modules, with niceness 15."""
+    given: list[str | None] = []
+
+    def connect(*_: object, **__: object) -> None:
+        given.append(os.environ.get(NICENESS))
+        raise ConfigurationError("no cluster")
+
+    monkeypatch.setattr(run, "import_ray", lambda: None)
+    monkeypatch.setattr(run, "connect", connect)
+    monkeypatch.setenv(NICENESS, "")
+    monkeypatch.delenv(NICENESS)
+    plan = AgentPlan(subjects=("perfect",), tasks=("move-by",), seeds=1)
+    with pytest.raises(ConfigurationError):
+        list(run.play_on_workers(plan, tmp_path, [], 2))
+    assert given == ["0"]
+
+
+@pytest.mark.parametrize(("given", "expected_s"), [("", 120.0), ("720", 720.0)])
+def test_a_call_may_take_as_long_as_the_episode_says(
+    monkeypatch: pytest.MonkeyPatch, given: str, expected_s: float
+):
+    limits: list[float] = []
+
+    async def call_tool(tool, arguments, read_timeout_seconds):
+        limits.append(read_timeout_seconds)
+        return SimpleNamespace(content=[], is_error=False, structured_content={})
+
+    monkeypatch.setenv(CALL_TIMEOUT, given)
+    if not given:
+        monkeypatch.delenv(CALL_TIMEOUT)
+    client: Any = SimpleNamespace(call_tool=call_tool)
+    assert anyio.run(ToolClient(client).call_with, "run_task", {}).ok
+    assert anyio.run(ToolClient(client).call_with, "run_task", {}, 5.0).ok
+    assert limits == [expected_s, 5.0]
 
 
 @pytest.mark.ros
 @pytest.mark.slow
-@pytest.mark.timeout(900)
+@pytest.mark.timeout(1700)
 def test_a_busy_machine_and_two_workers_play_the_same_episodes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     pytest.importorskip("ray", reason="needs the extra rn-eval[ray]")
     monkeypatch.setenv("ROS_DOMAIN_ID", str(free_ros_domain()))
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
-    options = ("--subject", "perfect", "--tasks", "look-count,move-by,move-and-home,move-joint")
+    options = (
+        "--subject",
+        "perfect",
+        "--tasks",
+        "look-count,move-by,move-joint,put-sideways",
+    )
     alone = evaluate(tmp_path / "alone", *options)
     busy = [subprocess.Popen([sys.executable, "-c", BUSY]) for _ in range(2)]
     try:

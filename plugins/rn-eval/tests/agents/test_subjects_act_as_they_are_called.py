@@ -293,6 +293,24 @@ class Slipping(FakeTools):
         return ToolAnswer(ok=True, data={"outcome": "succeeded", "attempts": attempts})
 
 
+def test_a_module_that_waits_for_another_one_is_not_stopped():
+    """The policy of killed cameras, which are being restarted."""
+
+    def module(name: str, health: str, code: str = "") -> dict[str, object]:
+        return {"module": name, "health": health, **({"error": {"code": code}} if code else {})}
+
+    modules = [
+        module("robot", "ok"),
+        module("perception", "starting"),
+        module("control", "stalled", "not_ready"),
+        module("inference", "failing", "not_ready"),
+    ]
+    assert steps.broken_modules(ToolAnswer(ok=True, data={"modules": modules})) == ["control"]
+    modules[3] = module("inference", "failing", "ungrounded")
+    status = ToolAnswer(ok=True, data={"modules": modules})
+    assert steps.broken_modules(status) == ["control", "inference"]
+
+
 def test_a_cube_that_slips_is_held_for_the_whole_time_once_more(monkeypatch):
     """On a clock that only advances by sleeping, because a busy machine would poll less often."""
     slept_s = [0.0]

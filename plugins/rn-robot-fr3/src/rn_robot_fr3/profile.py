@@ -37,7 +37,7 @@ TABLE_LOWER_M, TABLE_UPPER_M = (-0.30, -0.60, -0.60), (1.00, 0.60, 0.00)
 FINGER_LINKS = ("fr3_leftfinger", "fr3_rightfinger")
 
 OWN_TOPICS = (
-    *("sim/state", "measured_joint_states", "external_joint_torques"),
+    *("sim/state", "sim/clock", "sim/turn", "measured_joint_states", "external_joint_torques"),
     *("external_wrench_in_base_frame", "current_pose", "robot_state"),
 )
 """Topics of the simulation and of the control box's driver."""
@@ -126,7 +126,7 @@ def pair_profile() -> RobotProfile:
             upper_m=np.array([FACING_M - nearest_m, *highest_m[1:]]),
         ),
         endpoints=_pair_endpoints(arms, named),
-        own_topics=("sim/state", "sim/handed_over"),
+        own_topics=("sim/state", "sim/handed_over", "sim/clock", "sim/turn"),
     )
 
 

@@ -26,7 +26,7 @@ _UNCALIBRATED = tuple(
 def so101_profile() -> RobotProfile:
     """Profile of an SO-101 follower with a camera next to the table and one on the gripper."""
     named = [camera.profile() for camera in cameras()]
-    return replace(profile_of(SO101, named), own_topics=("sim/state",))
+    return replace(profile_of(SO101, named), own_topics=("sim/state", "sim/clock", "sim/turn"))
 
 
 def koch_profile() -> RobotProfile:

@@ -22,7 +22,14 @@ from rn_simulation.scene_state import (
     to_message,
 )
 from rn_simulation.slip import slips_after_s
-from rn_simulation.stepped import CLOCK_TOPIC, SteppedTime, WorldPhase, to_clock
+from rn_simulation.stepped import (
+    CLOCK_TOPIC,
+    TURN_TOPIC,
+    SteppedTime,
+    TurnWord,
+    WorldPhase,
+    to_clock,
+)
 from rn_simulation.twin import CellTwin
 from roboneuron import (
     ConfigurationError,
@@ -98,6 +105,7 @@ class SimulatedArmDriver:
                 self._tell = self._topics.advertise(HANDED_OVER_TOPIC, Float64)
             if self.waits_for_commands:
                 self._tell_clock = self._topics.advertise(CLOCK_TOPIC, Float64MultiArray)
+                self._topics.subscribe(TURN_TOPIC, Float64MultiArray, self._take_turn)
         self._stepped = SteppedTime(STEP_S)
         self._simulation.let_slip(slips_after_s())
         self._time.start(self._simulation, self._advance)
@@ -156,6 +164,13 @@ class SimulatedArmDriver:
         """End the simulation; may be called twice and before `open`."""
         self._time.stop()
         self._state = None
+
+    def _take_turn(self, message: Float64MultiArray) -> None:
+        """See `TURN_TOPIC`."""
+        if len(message.data) == 2 and message.data[0] in list(TurnWord):
+            word, count = TurnWord(int(message.data[0])), int(message.data[1])
+            with self._time.stepping:
+                self._stepped.take_turn(word, count, self._topics.now_ns())
 
     def _rests_at(self, command: JointCommand) -> bool:
         """Whether the joints of a command rest exactly where it sends them, as after a hold, which

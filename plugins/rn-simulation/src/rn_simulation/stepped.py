@@ -12,10 +12,16 @@ CLOCK_TOPIC = "sim/clock"
 """std_msgs/Float64MultiArray: phase, count, since (seconds, nanoseconds; ROS time) and simulated
 time [s] of a stepped simulation.
 """
+TURN_TOPIC = "sim/turn"
+"""std_msgs/Float64MultiArray: a `TurnWord`, and the count of commands that it is about; told by
+control.
+"""
 SETTLE_S = 1.5
 """Simulated time that passes after the last command, in which arm and objects come to rest."""
-PATIENCE_S = 3.0
-"""Wall time without a command after which a row of commands counts as ended."""
+ALONE_S = 0.45
+"""A command that lasts this long is no part of a sequence: it settles at its end."""
+PATIENCE_S = 30.0
+"""Wall time without a command after which a sequence counts as ended, if nobody has said so."""
 
 
 class WorldPhase(IntEnum):
@@ -29,6 +35,15 @@ class WorldPhase(IntEnum):
     """Nothing was commanded any more: arm and objects come to rest."""
     RESTING = 3
     """It stands until the next command."""
+
+
+class TurnWord(IntEnum):
+    """What control tells a stepped simulation."""
+
+    SKIPPED = 0
+    """An action moves nothing, and counts as carried out."""
+    ENDED = 1
+    """No command follows the one with this count."""
 
 
 class SteppedTime:
@@ -47,6 +62,7 @@ class SteppedTime:
         self.phase, self.count, self.since_ns = WorldPhase.SETTLING, 0, 0
         self._left = self._settling = round(SETTLE_S / step_s)
         self._since_s = 0.0
+        self._is_alone = False
 
     @property
     def stands(self) -> bool:
@@ -56,7 +72,17 @@ class SteppedTime:
     def command(self, duration_s: float, now_ns: int) -> None:
         """Make the steps of a command; it replaces the rest of the one before."""
         self._left = max(1, round(duration_s / self._step_s))
+        self._is_alone = duration_s >= ALONE_S
         self._enter(WorldPhase.MOVING, now_ns)
+
+    def take_turn(self, word: TurnWord, count: int, now_ns: int) -> None:
+        """Take what control tells; one about an earlier command is ignored."""
+        if word is TurnWord.SKIPPED:
+            self.count += 1
+            if self.stands:
+                self.since_ns = now_ns  # whoever acts next looks anew
+        elif self.phase is WorldPhase.WAITING and count == self.count:
+            self.settle(now_ns)
 
     def settle(self, now_ns: int) -> None:
         """Make steps until all rests, without waiting for another command."""
@@ -88,6 +114,9 @@ class SteppedTime:
         self.count += is_command
         self._since_s = now_s
         self._enter(WorldPhase.WAITING if is_command else WorldPhase.RESTING, now_ns)
+        if is_command and self._is_alone:
+            self.settle(now_ns)
+            return False
         return True
 
     def _enter(self, phase: WorldPhase, now_ns: int) -> None:

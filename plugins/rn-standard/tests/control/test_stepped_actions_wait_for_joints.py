@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import threading
+from contextlib import ExitStack
 from types import SimpleNamespace
 
 import numpy as np
 from std_msgs.msg import Float64MultiArray
 
 from rn_standard.control.stepped import SteppedActions
-from roboneuron import JointCommand, JointSample
+from rn_standard.stepped.clock import CLOSED_METRIC, END_PARAMETER, ENDED, SKIPPED
+from roboneuron import GripperProfile, JointCommand, JointSample, Pose
 from roboneuron.node import LimitedCommand
 
 
@@ -18,13 +21,48 @@ class FakeControl:
     def __init__(self) -> None:
         self.watched = SimpleNamespace(joints=None)
         self.on_limited: list = []
-        self.action_ns = 0
+        self.action_ns, self.action_s, self.is_holding = 0, 0.0, True
+        self.answer = self.send
+        self.height_m = 0.3
+        hand = GripperProfile(joint="hand", closed_position=0.0, open_position=0.04)
+        self.profile = SimpleNamespace(each_arm=[SimpleNamespace(name="", gripper=hand)])
+        self.values: dict[str, float] = {}
+        self.status = SimpleNamespace(set_value=self.values.__setitem__, changed=threading.Event())
         self.executed: list[tuple[str, float]] = []
-        self.node = SimpleNamespace(repeat=lambda period_s, look: setattr(self, "look", look))
+        self.told: list[list[float]] = []
+        self.parameters: dict = {}
+        self.node = SimpleNamespace(
+            repeat=lambda period_s, look: setattr(self, "look", look),
+            resources=ExitStack(),
+            advertise=lambda type_, topic: SimpleNamespace(
+                publish=lambda message: self.told.append(list(message.data))
+            ),
+            add_parameter=self.add_parameter,
+        )
         self.actions = SteppedActions(self, self.execute)  # type: ignore[arg-type]
 
     def execute(self, message, info) -> None:
         self.executed.append((message, self.clock()))
+        self.answer()
+
+    def poses(self, joints: JointSample) -> tuple[Pose, ...]:
+        place = np.array([0.4, 0.0, self.height_m])
+        return (Pose(position_m=place, quaternion_xyzw=np.array([0.0, 0.0, 0.0, 1.0])),)
+
+    def add_parameter(self, name, value, take):
+        self.parameters[name] = take
+        return lambda: None
+
+    def send(self) -> None:
+        self.action_s += 1.0
+        self.is_holding = False
+
+    def refuse(self) -> None:
+        """The limits let nothing through."""
+
+    def hold(self) -> None:
+        self.action_s += 1.0
+        self.is_holding = True
 
     def measure(self, stamp_ns: int, velocity: float) -> None:
         self.watched.joints = JointSample(
@@ -68,3 +106,37 @@ def test_a_motion_that_begins_at_rest_has_nothing_before_it():
     control.actions.take(Float64MultiArray(), {"source_timestamp": 1})
     control.measure(2, 0.0)
     assert control.executed[0][1] - before_s > 1.0
+
+
+def test_the_simulation_is_told_of_actions_that_move_nothing():
+    control = FakeControl()
+    told = []
+    for number, answer in enumerate(
+        (control.send, control.refuse, control.hold, control.hold, control.send), 1
+    ):
+        control.answer = answer
+        control.actions.take(Float64MultiArray(), {"source_timestamp": number})
+        control.measure(number + 1, 0.1)
+        told.append(len(control.told))
+    # the first hold is sent, the second one is not
+    assert told == [0, 1, 1, 2, 2]
+    assert {word for word, _ in control.told} == {SKIPPED}
+
+
+def test_the_simulation_is_told_of_the_last_command():
+    control = FakeControl()
+    control.parameters[END_PARAMETER](7)
+    assert control.told == [[ENDED, 7]]
+
+
+def test_the_height_at_which_the_hand_closes_is_that_of_the_joints_then():
+    control = FakeControl()
+    control.measure(1, 0.0)
+    told = []
+    for height_m, opening_m in ((0.3, 0.04), (0.021, 0.0), (0.2, 0.0), (0.1, 0.04)):
+        control.height_m = height_m
+        command = JointCommand(names=("hand",), position=np.array([opening_m]), duration_s=0.1)
+        for note in control.on_limited:
+            note(LimitedCommand(command=command))
+        told.append(control.values.get(CLOSED_METRIC))
+    assert told == [None, 0.021, 0.021, 0.021]

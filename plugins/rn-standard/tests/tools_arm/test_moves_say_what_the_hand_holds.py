@@ -18,7 +18,7 @@ from rn_standard.tools_arm.ee_move import MoveEndEffector
 from rn_standard.tools_arm.end_effector import EndEffectorMover
 from rn_standard.tools_arm.joints import JointMover, MoveJoints
 from rn_standard.tools_arm.options import ArmToolsOptions
-from rn_standard.tools_arm.placing import GripHeight, PlaceArguments, _Placer
+from rn_standard.tools_arm.placing import GripHeight, PlaceArguments, Placer
 from roboneuron.config import LimitsConfig
 from roboneuron.contract import GripperProfile, JointSample, Pose, RobotProfile
 from roboneuron.errors import InvalidInputError, NotReadyError, RefusedError, StateError
@@ -167,7 +167,7 @@ def move(arm: Arm, **arguments: Any) -> Any:
 
 
 def place(arm: Arm, grip_height: GripHeight, **arguments: Any) -> Any:
-    return anyio.run(_Placer(mover(arm), grip_height), PlaceArguments(**arguments), CONTEXT)
+    return anyio.run(Placer(mover(arm), grip_height), PlaceArguments(**arguments), CONTEXT)
 
 
 def watched(arm: Arm) -> GripHeight:

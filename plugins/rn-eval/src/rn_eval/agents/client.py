@@ -31,7 +31,16 @@ SERVER, INSTRUCTION, SEED, TRUTH = (
 for HTTP), the person's instruction, a random seed, and, only for agents that know the truth, the
 name of the task.
 """
-_CALL_TIMEOUT_S = 120.0
+CALL_TIMEOUT = "AGENT_EVAL_CALL_TIMEOUT_S"
+"""Environment variable of an agent: longest time that a call may take [s]; longer in stepped time,
+which a busy machine draws out.
+"""
+CALL_TIMEOUT_S = 120.0
+
+
+def call_timeout_s() -> float:
+    """The longest time of a call [s]."""
+    return float(os.environ.get(CALL_TIMEOUT, CALL_TIMEOUT_S))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -118,14 +127,15 @@ class ToolClient:
         return await self.call_with(tool, arguments)
 
     async def call_with(
-        self, tool: str, arguments: dict[str, object], timeout_s: float = _CALL_TIMEOUT_S
+        self, tool: str, arguments: dict[str, object], timeout_s: float | None = None
     ) -> ToolAnswer:
-        """Call a tool and wait at most `timeout_s` for the answer; errors are returned, not
-        raised.
+        """Call a tool and wait at most `timeout_s` for the answer, without it `call_timeout_s`;
+        errors are returned, not raised.
         """
+        limit_s = timeout_s or call_timeout_s()
         try:
             result = await self._client.call_tool(
-                tool, {**self._always, **arguments}, read_timeout_seconds=timeout_s
+                tool, {**self._always, **arguments}, read_timeout_seconds=limit_s
             )
         except MCPError as error:
             return ToolAnswer(ok=False, code="protocol", text=str(error))
@@ -164,7 +174,7 @@ class ToolClient:
 async def connected_to(url: str, token: str) -> AsyncIterator[Client]:
     """Connect a client to a server over HTTP."""
     headers = {"Authorization": f"Bearer {token}"}
-    timeout = httpx2.Timeout(30.0, read=_CALL_TIMEOUT_S)
+    timeout = httpx2.Timeout(30.0, read=call_timeout_s())
     async with (
         httpx2.AsyncClient(headers=headers, timeout=timeout) as http,
         Client(streamable_http_client(url, http_client=http)) as client,

@@ -34,11 +34,11 @@ seed = {seed}
 colours = [{colours}]
 """
 _ALONE = '[robot]\nname = "fr3"\ndriver = "simulated"\n'
-_STEPPED_ROBOT = "command_timeout_s = 15.0\n"
-_STEPPED_INFERENCE = "max_image_age_s = 10.0\n"
-_STEPPED_CONTROL = "action_timeout_s = 10.0\nstate_timeout_s = 5.0\n"
+_STEPPED_ROBOT = "command_timeout_s = 90.0\nserver_timeout_s = 30.0\n"
+_STEPPED_INFERENCE = "max_image_age_s = 60.0\nmax_tail_age_s = 600.0\n"
+_STEPPED_CONTROL = "action_timeout_s = 60.0\nstate_timeout_s = 30.0\nserver_timeout_s = 30.0\n"
 """On a busy machine commands come late, and the simulation waits for them: nothing moves meanwhile.
-Control holds 7.5 s after the last action, when the simulation rests.
+Control holds 45 s after the last action, when the simulation rests.
 """
 _ONE_OF_SEVERAL = '[robots.{name}]\nrobot = "{robot}"\n'
 _SEVERAL = """\

@@ -22,7 +22,15 @@ import numpy as np
 
 from rn_eval.agents.breakage import Breakage
 from rn_eval.agents.cell import EpisodeFolder, end_process
-from rn_eval.agents.client import INSTRUCTION, SEED, SERVER, TOKEN, TRUTH
+from rn_eval.agents.client import (
+    CALL_TIMEOUT,
+    CALL_TIMEOUT_S,
+    INSTRUCTION,
+    SEED,
+    SERVER,
+    TOKEN,
+    TRUTH,
+)
 from rn_eval.agents.conduct import Conduct, ToolCall, unsafe_kind
 from rn_eval.agents.digest import episode_digest
 from rn_eval.agents.forbidden import Borders, beyond_m, forbidden_of_all, pushed_out
@@ -131,6 +139,9 @@ class Episodes:
     def _time_of(self, spec: AgentTaskSpec) -> TimeMode:
         return "real" if spec.real_time else self._time
 
+    def _slack(self, spec: AgentTaskSpec) -> float:
+        return _STEPPED_SLACK if self._time_of(spec) == "stepped" else 1.0
+
     @contextmanager
     def _kept_unless_solved(self, key: AgentKey, folder: Path) -> Iterator[Callable[[bool], None]]:
         """Keep the files of an episode unless the yielded function is told that it was solved."""
@@ -157,7 +168,7 @@ class Episodes:
             cell.command(port), {**cell.environment(), **tokens}, folder, scene.sign, port
         )
         # in stepped time an episode may take as long as the machine needs: it ends by itself
-        slack = _STEPPED_SLACK if self._time_of(spec) == "stepped" else 1.0
+        slack = self._slack(spec)
         limit_s = min(filter(None, (slack * task.time_limit_s, self._time_limit_s)))
         begun_ns = time.time_ns()
         breakage = Breakage(scene.fault)
@@ -233,6 +244,7 @@ class Episodes:
             **({TOKEN: token} if token else {}),
             INSTRUCTION: scene.briefing,
             SEED: str(key.seed),
+            CALL_TIMEOUT: f"{CALL_TIMEOUT_S * self._slack(self._tasks[key.task][0]):g}",
             TRUTH: key.task if knows_truth else "",
         }
         output = folder / "words.txt"

@@ -115,13 +115,7 @@ _BASES = Requirement(
 )
 _MODULES_FAIL = "processes fail at a wall time"
 _OTHERS_ACT = "other clients and persons act at wall times"
-_POLICY_ACTS = "a policy predicts, and run_task judges, at wall times"
 _REAL_TIME = {
-    "pick": _POLICY_ACTS,
-    "place": "the height at which the hand has closed is measured at a wall time",
-    "again": _POLICY_ACTS,
-    "limits-slow-pick": _POLICY_ACTS,
-    "refuse-two": _POLICY_ACTS,
     "stop": "motions are stopped at wall times",
     "recover": _MODULES_FAIL,
     "explain": _MODULES_FAIL,

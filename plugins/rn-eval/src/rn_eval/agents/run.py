@@ -149,6 +149,8 @@ def play_on_workers(
         StateError: workers die before they run an episode.
     """
     ray = import_ray()
+    # because servers have watchdogs: at Ray's own niceness of 15 a busy machine starves them
+    os.environ.setdefault("RAY_worker_niceness", "0")
     connect(ray, ray_address, workers, variables={})
     try:
         actor = ray.remote(num_cpus=1)(AgentWorker)

@@ -6,13 +6,19 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
+from std_msgs.msg import Float64MultiArray
 
+from rn_standard.stepped.clock import (
+    CLOSED_METRIC,
+    END_PARAMETER,
+    ENDED,
+    SIMULATION_TOPIC,
+    SKIPPED,
+)
 from roboneuron import JointCommand
 from roboneuron.node import LimitedCommand
 
 if TYPE_CHECKING:
-    from std_msgs.msg import Float64MultiArray
-
     from rn_standard.control.module import ControlModule
 
 _STEP_S = 0.1
@@ -20,6 +26,8 @@ _STEP_S = 0.1
 _LOOK_S = 0.002
 _PAUSE_S = 10.0
 """Counts as passed while the arm rests: the next action begins a motion."""
+_CLOSES = 0.05
+"""Fraction of the travel: a smaller change of the commanded opening is not a grasp."""
 
 
 class SteppedActions:
@@ -27,7 +35,8 @@ class SteppedActions:
     simulation has waited for it, so these are the same in every run.
 
     The arm's time is the sum of its commands, each of which has `_STEP_S`. Stops and ages go by
-    the real clock, as always.
+    the real clock, as always. The simulation is told of actions that move nothing, and of the last
+    command, so that nobody guesses that by the wall clock.
     """
 
     def __init__(
@@ -43,11 +52,15 @@ class SteppedActions:
         """
         self._control, self._execute = control, execute
         self._now_s = _PAUSE_S
+        self._openings: dict[str, float] = {}
         self._pending: tuple[Float64MultiArray, Mapping[str, int]] | None = None
         control.clock = lambda: self._now_s
         control.step_s = self._step_s  # type: ignore[method-assign]
         control.on_limited.append(self._note)
-        control.node.repeat(_LOOK_S, self._look)
+        node = control.node
+        self._simulation = node.advertise(Float64MultiArray, SIMULATION_TOPIC)
+        node.resources.callback(node.add_parameter(END_PARAMETER, -1, self._end))
+        node.repeat(_LOOK_S, self._look)
 
     def take(self, message: Float64MultiArray, info: Mapping[str, int]) -> None:
         """Execute an action as soon as the joints are measured; a newer one replaces it."""
@@ -63,7 +76,19 @@ class SteppedActions:
         self._pending = None
         if joints.velocity is not None and not np.any(joints.velocity):
             self._now_s += _PAUSE_S
+        control = self._control
+        acted_s, was_holding = control.action_s, control.is_holding
         self._execute(*pending)
+        is_held_again = was_holding and control.is_holding
+        if control.action_s == acted_s or is_held_again:  # nothing was sent
+            self._tell(SKIPPED)
+
+    def _end(self, count: int) -> None:
+        """See `END_PARAMETER`."""
+        self._tell(ENDED, count)
+
+    def _tell(self, word: int, count: int = 0) -> None:
+        self._simulation.publish(Float64MultiArray(data=[float(word), float(count)]))
 
     def _step_s(self, source_ns: int, now_s: float) -> float:
         """As `HoldingModule.step_s`."""
@@ -74,3 +99,20 @@ class SteppedActions:
         """The time of a command passes before the next one."""
         if isinstance(limited.command, JointCommand):
             self._now_s += limited.command.duration_s
+            self._note_openings(limited.command)
+
+    def _note_openings(self, command: JointCommand) -> None:
+        """Report how high the hand is that closes: tools see that only at a wall time."""
+        control = self._control
+        for number, arm in enumerate(control.profile.each_arm):
+            gripper, joints = arm.gripper, control.watched.joints
+            if gripper is None or joints is None or gripper.joint not in command.names:
+                continue
+            position = command.position[command.names.index(gripper.joint)]
+            before, now = self._openings.get(arm.name, 1.0), gripper.to_opening(float(position))
+            self._openings[arm.name] = now
+            if before - now > _CLOSES:
+                metric = f"{arm.name}/{CLOSED_METRIC}" if arm.name else CLOSED_METRIC
+                height_m = float(control.poses(joints)[number].position_m[2])
+                control.status.set_value(metric, height_m)
+                control.status.changed.set()

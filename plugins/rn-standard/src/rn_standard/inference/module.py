@@ -26,6 +26,8 @@ from rn_standard.inference.loaded import load_policy, resolved_cameras
 from rn_standard.inference.planning import find_policies
 from rn_standard.inference.player import RowPlayer
 from rn_standard.inference.polled import PolledSubscriptions
+from rn_standard.inference.stepped import SteppedChunks
+from rn_standard.stepped.clock import is_stepped
 from roboneuron import (
     ActionChunk,
     CameraProfile,
@@ -130,7 +132,10 @@ class InferenceModule(Module):
         self._subscribe(cameras, with_state=needs_state)
         self._actions = node.advertise(Float64MultiArray, topics.ACTION)
         bounds = Bounds(first_s=config.max_image_age_s, tail_s=config.max_tail_age_s)
-        self.executor = executor_maker(node)(self._policy.policy.backend, config.execution, bounds)
+        self._stepped = SteppedChunks(bounds, node) if is_stepped(self.config) else None
+        self.executor = self._stepped or executor_maker(node)(
+            self._policy.policy.backend, config.execution, bounds
+        )
         self._not_before_ns = 0
         self._is_blind = False
         self._worker = Worker("inference", self._step, self.status, limit_s=_FIRST_LIMIT_S)
@@ -238,6 +243,8 @@ class InferenceModule(Module):
         # before a stop, or not for this module
         if captured_ns < self._not_before_ns or not all(ask(captured_ns) for ask in self.accepts):
             return
+        if self._stepped is not None and not self._stepped.admits(observation):
+            return
         count, instruction = self._instruction.count, self._instruction.text
         if not instruction:
             since = f" after a stop ({self.node.needs_start})" if self.node.needs_start else ""
@@ -316,7 +323,10 @@ class InferenceModule(Module):
             else:
                 if resets:
                     self.backend.reset()
-                chunk = self._policy.answer(prediction.observation)
+                seen = prediction.observation
+                chunk = self._policy.answer(
+                    seen if self._stepped is None else self._stepped.as_seen(seen)
+                )
         except Exception as error:
             self._notify(prediction, resets, error)
             # earlier rows must not continue when the newest image is refused

@@ -22,6 +22,7 @@ from rn_standard.preview.twin import Twin, driver_of, scene_of
 from rn_standard.preview.twin_process import TwinProcess
 from rn_standard.tasks.run_task import RunTask
 from rn_standard.tools_arm.ee_move import MoveEndEffector
+from rn_standard.tools_arm.placing import PlaceArguments
 from roboneuron import (
     Arguments,
     CallContext,
@@ -143,10 +144,10 @@ class PreviewFeature(Feature[PreviewOptions]):
             )
             twin = self._twin(profile)
             scene = scene_of(host, twin) if self.options.objects else None
-            if isinstance(parsed, RunTask) and scene is None:
+            if isinstance(parsed, RunTask | PlaceArguments) and scene is None:
                 raise RefusedError(
-                    "A task can be previewed in a simulated cell that runs: elsewhere it is not "
-                    "known what stands where.",
+                    f"{tool.name} can be previewed in a simulated cell that runs: elsewhere it is "
+                    "not known what stands where.",
                     hint="Preview single motions: move_ee, move_joints, move_to.",
                     rule=NAME,
                 )
@@ -225,7 +226,7 @@ class PreviewFeature(Feature[PreviewOptions]):
         try:
             host.loop.emergency_stop.check()
             host.gate.check_free(arm_endpoint(host))
-            if isinstance(parsed, MoveEndEffector):
+            if isinstance(parsed, MoveEndEffector | PlaceArguments):
                 host.modules.require_running("control")
         except RoboNeuronError as error:
             return str(error)

@@ -19,7 +19,9 @@ from rn_standard.tasks.moving import Mover, MoveToArguments, Places
 from rn_standard.tasks.run_task import RunTask, TaskTool
 from rn_standard.tools_arm.ee_move import MoveEndEffector
 from rn_standard.tools_arm.end_effector import EndEffectorMover
+from rn_standard.tools_arm.grip import is_blocked
 from rn_standard.tools_arm.joints import JointMover, MoveJoints
+from rn_standard.tools_arm.placing import PlaceArguments, PlaceOfArm, Placer
 from rn_standard.tools_arm.tools import MoveOfArm
 from rn_standard.tools_ros.publish import Publish, Publishing, encode_step
 from roboneuron import (
@@ -36,7 +38,7 @@ from roboneuron import (
 from roboneuron.feature import ExposedEndpoint, MotionRules, Stage, inspector_of, joint_space
 
 T = TypeVar("T")
-MODELS = (MoveEndEffector, MoveJoints, MoveToArguments, Publish, RunTask)
+MODELS = (MoveEndEffector, MoveJoints, MoveToArguments, PlaceArguments, Publish, RunTask)
 """Arguments of the tools that can be previewed."""
 
 
@@ -109,6 +111,8 @@ class Session:
             self._move_joints(cast("JointMover", tool.handler), arguments)
         elif isinstance(arguments, MoveToArguments):
             self._move_to(arguments)
+        elif isinstance(arguments, PlaceArguments):
+            self._place(tool, arguments)
         elif isinstance(arguments, RunTask):
             self._run_task(cast("TaskTool", tool.handler), arguments)
         else:
@@ -118,6 +122,9 @@ class Session:
         handler = tool.handler
         mover = handler.of(arguments.arm) if isinstance(handler, MoveOfArm) else handler
         assert isinstance(mover, EndEffectorMover)
+        self._move(mover, arguments)
+
+    def _move(self, mover: EndEffectorMover, arguments: MoveEndEffector) -> None:
         try:
             order = mover.order(arguments)
         except RefusedError as error:
@@ -131,6 +138,33 @@ class Session:
             outcome: Outcome = "blocked" if self._twin.moved() and not held else "stopped"
             raise EndedError(outcome, self.arm.rule or error.rule, error.message) from error
         self.arm.settle()
+
+    def _place(self, tool: Tool[Any], arguments: PlaceArguments) -> None:
+        """With the twin's hand, which may lose what it holds as the robot's may."""
+        handler = tool.handler
+        placer = handler.of(arguments.arm) if isinstance(handler, PlaceOfArm) else handler
+        assert isinstance(placer, Placer)
+        names = [part.name for part in self._profile.each_arm]
+        try:
+            placer.check_holds()
+        except RefusedError as error:
+            _refuse(error)
+        route = placer.route(arguments, self.arm.poses()[names.index(arguments.arm)])
+        for move in route.carry:
+            self._move(placer.mover, move)
+            if not self._holds(placer):
+                raise EndedError("stopped", "lost", "The hand loses what it holds on the way.")
+        self._move(placer.mover, route.release)
+        for move in route.leave:
+            opened = move.model_copy(update={"gripper_open": route.release.gripper_open})
+            self._move(placer.mover, opened)
+
+    def _holds(self, placer: Placer) -> bool:
+        """Whether the fingers of the twin are kept from closing."""
+        gripper, joints = placer.grip.profile, self.arm.joints()
+        assert gripper is not None
+        opening = gripper.to_opening(float(joints.position[joints.names.index(gripper.joint)]))
+        return is_blocked(opening, placer.grip.kept())
 
     def _move_joints(self, mover: JointMover, arguments: MoveJoints) -> None:
         mover.check(arguments)

@@ -16,8 +16,29 @@ CLOCK_TOPIC = "sim/clock"
 """std_msgs/Float64MultiArray under the robot's namespace: phase (0 moving, 1 waiting, 2 settling, 3
 resting), count of commands, since (seconds, nanoseconds; ROS time) and simulated time [s].
 """
-UNANSWERED_S = 2.0
-"""Wall time after which a command that moved nothing counts as refused."""
+SIMULATION_TOPIC, SKIPPED, ENDED = "sim/turn", 0, 1
+"""std_msgs/Float64MultiArray under the robot's namespace, from control to the simulation: a word,
+and the count of commands that it is about. `SKIPPED`: an action moves nothing, and counts as
+carried out; `ENDED`: no command follows, so that arm and objects may come to rest.
+"""
+END_PARAMETER = "stepped_end"
+"""ROS parameter of control: the count of the last command, see `ENDED`."""
+TURN_PARAMETER, FREE = "stepped_turn", -1
+"""ROS parameter of inference: a new positive number gives the policy a turn of one row, 0 none, and
+`FREE` any.
+"""
+TURN_METRIC, ROWS_METRIC = "stepped_turn", "stepped_rows"
+"""Values in the report of inference: number of the newest turn that is over, and rows sent since
+its start.
+"""
+CLOSED_METRIC = "stepped_closed_at_m"
+"""Value in the report of control: height of the TCP when it last closed the hand [m]; of one of
+several arms as "left/stepped_closed_at_m".
+"""
+UNANSWERED_S = 15.0
+"""Wall time after which a command that moved nothing, and of which nobody said so, counts as
+refused.
+"""
 OPTION = "stepped"
 """Option of a simulated robot. A robot without it refuses it when it starts."""
 _VALUES = 5

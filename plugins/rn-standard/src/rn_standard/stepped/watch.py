@@ -5,10 +5,17 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
-from rn_standard.stepped.clock import CLOCK_TOPIC, UNANSWERED_S, WorldClock, clock_from_message
-from roboneuron import Host, JointSample, NotReadyError
+from rn_standard.stepped.clock import (
+    CLOCK_TOPIC,
+    END_PARAMETER,
+    UNANSWERED_S,
+    WorldClock,
+    clock_from_message,
+)
+from roboneuron import Host, JointSample, NotReadyError, RoboNeuronError
 from roboneuron.feature import TimedCommand
 
 if TYPE_CHECKING:
@@ -16,8 +23,10 @@ if TYPE_CHECKING:
 
 _LOOK_S = 0.005
 _FIRST_S = 5.0
-_REST_S = 30.0
+_REST_S = 90.0
 """Longest wall time until a simulation rests: a policy that acts keeps it from that."""
+_ASK_S, _ANSWER_S = 1.0, 5.0
+"""Period of asking the simulation to come to rest, and longest wait for control's answer."""
 
 
 class SteppedWorld:
@@ -29,6 +38,7 @@ class SteppedWorld:
         self._lock = threading.Lock()
         self._is_open = False
         self._newest: WorldClock | None = None
+        self._asked_s = 0.0
 
     def clock(self) -> WorldClock:
         """The newest clock; waits for the first one.
@@ -63,6 +73,8 @@ class SteppedWorld:
             limit_s = UNANSWERED_S if self.clock().count <= count else _REST_S
             if self.clock().stands and now_s - began_s > limit_s:
                 return
+            if to_rest and self.clock().count > count:
+                self._end_row(now_s)
             yield TimedCommand(message=None, due_s=now_s + _LOOK_S)
 
     def _is_done(self, count: int, *, to_rest: bool) -> bool:
@@ -75,8 +87,18 @@ class SteppedWorld:
         while not (clock := self.clock()).rests:
             if time.monotonic() > deadline_s:
                 raise NotReadyError("The simulation does not come to rest.", hint="A policy acts?")
+            self._end_row(time.monotonic())
             time.sleep(_LOOK_S)
         return clock
+
+    def _end_row(self, now_s: float) -> None:
+        """Say through control that no command follows; without it the simulation waits long."""
+        clock = self.clock()
+        if not clock.stands or clock.rests or now_s - self._asked_s < _ASK_S:
+            return
+        self._asked_s = now_s
+        with suppress(RoboNeuronError):  # control has just been stopped
+            self._host.loop.set_parameters("control", {END_PARAMETER: clock.count}, _ANSWER_S)
 
     def measured_at_rest(self, newest: Callable[[], JointSample | None]) -> JointSample:
         """Joints that were measured since the simulation rests; blocks.

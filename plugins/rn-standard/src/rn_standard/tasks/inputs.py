@@ -31,10 +31,16 @@ _AGE_S, _IMAGE_AGE_S = 0.5, 2.0
 
 
 class Inputs:
-    """Newest messages of topics, from their first use until `close`."""
+    """Newest messages of topics, from their first use until `close`.
 
-    def __init__(self, host: Host) -> None:
+    Args:
+        host: the server.
+        age_factor: they may be so many times older than usual.
+    """
+
+    def __init__(self, host: Host, *, age_factor: float = 1.0) -> None:
         self._host = host
+        self._age_factor = age_factor
         self._newest: dict[str, tuple[float, Any]] = {}
         self._ends: list[Callable[[], None]] = []
         self._decoded: dict[str, tuple[object, Frame]] = {}
@@ -54,7 +60,10 @@ class Inputs:
     def newest(self, topic: str, age_s: float = _AGE_S) -> Any:
         """The newest message, or None if it is older than `age_s`."""
         found = self._newest.get(topic)
-        return found[1] if found is not None and time.monotonic() - found[0] <= age_s else None
+        return found[1] if found is not None and self._is_new(found[0], age_s) else None
+
+    def _is_new(self, since_s: float, age_s: float) -> bool:
+        return time.monotonic() - since_s <= age_s * self._age_factor
 
     def last(self, topic: str) -> Any:
         """The newest message of any age; None before the first."""

@@ -209,7 +209,7 @@ class LiveCell:
 
     def look(self) -> Snapshot:
         """See `TaskRobot`."""
-        space, now_s = self._host.config.namespace, time.monotonic()
+        space, now_s = self._host.config.namespace, self.now_s()
         message = self._inputs.newest(f"/{space}/joint_states")
         joints: dict[str, float] | None = None
         effort: dict[str, float] = {}

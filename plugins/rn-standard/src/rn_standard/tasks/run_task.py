@@ -13,6 +13,7 @@ from rn_standard.direct_path import truth
 from rn_standard.direct_path.exposed import check_no_preview
 from rn_standard.direct_path.fields import check_path, load_type
 from rn_standard.inference.instruction_text import InstructionText
+from rn_standard.stepped.clock import is_stepped
 from rn_standard.tasks.approval import Approval
 from rn_standard.tasks.arbiter import TaskArbiter
 from rn_standard.tasks.hooks import MonitorSpec
@@ -32,6 +33,7 @@ from rn_standard.tasks.predicates import (
 )
 from rn_standard.tasks.runner import Outcome, Task, TaskEnd, TaskPlan
 from rn_standard.tasks.snapshot import ArmSnapshot, Snapshot
+from rn_standard.tasks.stepped import SteppedCell
 from roboneuron import (
     Arguments,
     CallContext,
@@ -179,7 +181,8 @@ class TaskTool:
 
         def work(stage: Stage) -> TaskEnd:
             cameras, why = self._cameras(predicate), lambda: self._arbiter.reason
-            cell = LiveCell(self._host, profile, context.role, stage, halt, why, topics, cameras)
+            kind = SteppedCell if is_stepped(self._host.config) else LiveCell
+            cell = kind(self._host, profile, context.role, stage, halt, why, topics, cameras)
             holder.append(cell)
             with self._arbiter.claim(f"{instruction!r} of {context.who}", halt):
                 try:

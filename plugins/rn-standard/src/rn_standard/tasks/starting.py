@@ -83,8 +83,8 @@ class ParallelStart:
             if phase in ("starting", "stopping")
         ]:
             raise StateError(
-                f"Somebody else is at work: {', '.join(busy)}.",
-                hint="Wait for the end of that call.",
+                f"{', '.join(busy)}: by another call, or the server restarts what has failed.",
+                hint="Call again in some seconds; get_status tells when that has ended.",
             )
         already = tuple(kind for kind, phase in phases.items() if phase == "running")
         wanted = [kind for kind in phases if kind not in already and self._is_configured(kind)]

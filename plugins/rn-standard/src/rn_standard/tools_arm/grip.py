@@ -101,7 +101,7 @@ class Grip:
         rested = self.measured()
         while True:
             now_s, opening = time.monotonic(), self.measured()
-            if opening - commanded <= _BLOCKED:
+            if not is_blocked(opening, commanded):
                 return False
             if abs(opening - rested) > _STILL:
                 rested, since_s = opening, now_s
@@ -116,6 +116,11 @@ class Grip:
         if self._exposed.namespace != self._host.config.namespace:
             return None
         return self._host.modules.view("robot").report
+
+
+def is_blocked(opening: float, commanded: float) -> bool:
+    """True if fingers at rest at this opening are kept from the commanded one."""
+    return opening - commanded > _BLOCKED
 
 
 def is_lost(

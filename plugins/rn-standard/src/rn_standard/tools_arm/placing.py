@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 
 from pydantic import Field
 from pydantic.json_schema import JsonSchemaValue
 
 from rn_standard.direct_path.derived import Derived
+from rn_standard.direct_path.exposed import check_no_preview
+from rn_standard.stepped.clock import CLOSED_METRIC
 from rn_standard.tools_arm.arm_rows import of_named_arm
 from rn_standard.tools_arm.ee_move import EndEffectorMove, MoveEndEffector
 from rn_standard.tools_arm.end_effector import EndEffectorMover
@@ -20,6 +23,7 @@ from roboneuron import (
     CallContext,
     Host,
     InvalidInputError,
+    Pose,
     RefusedError,
     Result,
     RoboNeuronError,
@@ -45,9 +49,7 @@ class PlaceArguments(Arguments):
     """Arguments of place."""
 
     arm: str = Field(default="", description="Arm that holds it.")
-    dx_m: float = Field(
-        default=0.0, ge=-0.5, le=0.5, description="Forwards from where the hand is [m]."
-    )
+    dx_m: float = Field(default=0.0, ge=-0.5, le=0.5, description="Forwards from the hand [m].")
     dy_m: float = Field(default=0.0, ge=-0.5, le=0.5, description="To the left [m].")
     height_m: float | None = Field(
         default=None,
@@ -55,6 +57,7 @@ class PlaceArguments(Arguments):
         le=2,
         description="TCP height at release; where the hand closed when omitted [m].",
     )
+    preview: bool = Field(default=False, description="Simulate only.")
 
 
 class Placed(Result):
@@ -82,8 +85,16 @@ class GripHeight(Grip):
         super().__init__(host, gate, exposed, arm)
         self._tcp = tcp
         self._opening: float | None = None
-        self.closed_at_m: float | None = None
-        """Height of the TCP [m]; None if not observed."""
+        self._closed_at_m: float | None = None
+        self._metric = f"{arm}/{CLOSED_METRIC}" if arm else CLOSED_METRIC
+
+    @property
+    def closed_at_m(self) -> float | None:
+        """Height of the TCP [m]; None if not observed. In stepped time as control reports it."""
+        is_own = self._exposed.namespace == self._host.config.namespace
+        report = self._host.modules.view("control").report if is_own else None
+        told = "" if report is None else report.metrics.get(self._metric, "")
+        return float(told) if told else self._closed_at_m
 
     def watch(self) -> None:
         """Start observing; does nothing the second time."""
@@ -101,15 +112,34 @@ class GripHeight(Grip):
         before, now = self._opening, self.commanded()
         self._opening = now
         if now is not None and (1.0 if before is None else before) - now > _CLOSES:
-            self.closed_at_m = height_m
+            self._closed_at_m = height_m
 
 
-class _Placer:
-    """Moves with move_ee, which keeps the grip, and detects a lost object."""
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PlaceRoute:
+    """The moves of one call.
+
+    Attributes:
+        carry: with the object in the hand.
+        release: opens the hand.
+        leave: with the hand open.
+    """
+
+    carry: tuple[MoveEndEffector, ...]
+    release: MoveEndEffector
+    leave: tuple[MoveEndEffector, ...]
+
+
+class Placer:
+    """Moves with move_ee, which keeps the grip, and detects a lost object.
+
+    Attributes:
+        mover, grip: of the arm.
+    """
 
     def __init__(self, mover: EndEffectorMover, grip: GripHeight) -> None:
-        self._mover = mover
-        self._grip = grip
+        self.mover = mover
+        self.grip = grip
 
     async def __call__(self, arguments: PlaceArguments, context: CallContext) -> Placed:
         """Lift, carry, lower, release, and retract upwards.
@@ -120,47 +150,73 @@ class _Placer:
             StateError: the hand lost the object on the way.
         """
         began_s = time.monotonic()
-        self._mover.check()
-        if await context.run(lambda _: self._grip.holding()) is False:
+        check_no_preview(arguments.given())
+        self.mover.check()
+        await context.run(lambda _: self.check_holds())
+        self.release_height_m(arguments)
+        start = await context.run(lambda _: self.mover.pose())
+        route = self.route(arguments, start)
+        for move in route.carry:
+            _check(await self.mover(move, context))
+        opened = await self.mover(route.release, context)
+        for move in route.leave:
+            _check(await self.mover(move, context))
+        place, here = opened.position_m, start.position_m
+        return Placed(
+            robot=opened.robot,
+            arm=opened.arm,
+            released_at_m=place,
+            moved={"dx_m": round(place[0] - here[0], 4), "dy_m": round(place[1] - here[1], 4)},
+            holding=opened.holding,
+            took_s=round(time.monotonic() - began_s, 3),
+        )
+
+    def check_holds(self) -> None:
+        """Raise RefusedError for an empty hand; waits until the fingers rest."""
+        if self.grip.holding() is False:
             raise RefusedError(
                 "The hand holds nothing that could be put down.",
                 hint="See get_status, robot.",
                 rule="empty_hand",
             )
-        height_m = self._grip.closed_at_m if arguments.height_m is None else arguments.height_m
+
+    def release_height_m(self, arguments: PlaceArguments) -> float:
+        """Height of the TCP at the release. Raises InvalidInputError if it is unknown."""
+        if arguments.height_m is not None:
+            return arguments.height_m
+        height_m = self.grip.closed_at_m
         if height_m is None:
             raise InvalidInputError(
                 "It is not known how high the hand was when it closed.",
                 hint="Give height_m: the height of the TCP at which to let go.",
                 path="height_m",
             )
-        start = (await context.run(lambda _: self._mover.pose())).position_m
-        release_m = height_m if arguments.height_m is not None else height_m + _GAP_M
-        carry_m = max(float(start[2]), release_m + _CLEAR_M)
-        await self._go(context, dz_m=carry_m - float(start[2]))
-        await self._go(context, dx_m=arguments.dx_m, dy_m=arguments.dy_m)
-        await self._go(context, dz_m=release_m - carry_m)
-        opened = await self._mover(MoveEndEffector(gripper_open=1.0), context)
-        place = opened.position_m
-        await self._go(context, dz_m=_CLEAR_M)
-        return Placed(
-            robot=opened.robot,
-            arm=opened.arm,
-            released_at_m=place,
-            moved={"dx_m": round(place[0] - start[0], 4), "dy_m": round(place[1] - start[1], 4)},
-            holding=opened.holding,
-            took_s=round(time.monotonic() - began_s, 3),
+        return height_m + _GAP_M
+
+    def route(self, arguments: PlaceArguments, start: Pose) -> PlaceRoute:
+        """The moves of a call that begins with the TCP at `start`. Raises as `release_height_m`."""
+        release_m = self.release_height_m(arguments)
+        height_m = float(start.position_m[2])
+        carry_m = max(height_m, release_m + _CLEAR_M)
+        return PlaceRoute(
+            carry=(
+                *_pieces(dz_m=carry_m - height_m),
+                *_pieces(dx_m=arguments.dx_m, dy_m=arguments.dy_m),
+                *_pieces(dz_m=release_m - carry_m),
+            ),
+            release=MoveEndEffector(gripper_open=1.0),
+            leave=tuple(_pieces(dz_m=_CLEAR_M)),
         )
 
-    async def _go(self, context: CallContext, **delta: float) -> None:
-        """Move along one straight part, in pieces that move_ee accepts."""
-        longest = max(abs(value) for value in delta.values())
-        if longest < _NEAR_M:
-            return
-        count = int(longest / _LONGEST_M - 1e-9) + 1
-        for _ in range(count):
-            part = {name: value / count for name, value in delta.items()}
-            _check(await self._mover(MoveEndEffector.model_validate(part), context))
+
+def _pieces(**delta: float) -> Iterator[MoveEndEffector]:
+    """One straight part, in pieces that move_ee accepts."""
+    longest = max(abs(value) for value in delta.values())
+    if longest < _NEAR_M:
+        return
+    count = int(longest / _LONGEST_M - 1e-9) + 1
+    for _ in range(count):
+        yield MoveEndEffector.model_validate({name: value / count for name, value in delta.items()})
 
 
 def _check(moved: EndEffectorMove) -> None:
@@ -171,17 +227,21 @@ def _check(moved: EndEffectorMove) -> None:
         raise StateError(f"The hand has lost what it held, at {moved.position_m} m or before.")
 
 
-class _PlaceOfArm:
+class PlaceOfArm:
     """The handler of place for several arms."""
 
-    def __init__(self, placers: Mapping[str, _Placer]) -> None:
+    def __init__(self, placers: Mapping[str, Placer]) -> None:
         self._placers = placers
 
+    def of(self, arm: str) -> Placer:
+        """The one of that arm. Raises InvalidInputError."""
+        return of_named_arm(self._placers, arm)
+
     async def __call__(self, arguments: PlaceArguments, context: CallContext) -> Placed:
-        """Raises as `_Placer`; InvalidInputError also for an unknown arm or one without a
+        """Raises as `Placer`; InvalidInputError also for an unknown arm or one without a
         gripper.
         """
-        return await of_named_arm(self._placers, arguments.arm)(arguments, context)
+        return await self.of(arguments.arm)(arguments, context)
 
 
 def place_tool(
@@ -194,7 +254,7 @@ def place_tool(
         grips: by arm, for those with a gripper.
         robot: name of the robot.
     """
-    placers = {arm: _Placer(movers[arm], grip) for arm, grip in grips.items()}
+    placers = {arm: Placer(movers[arm], grip) for arm, grip in grips.items()}
     properties: dict[str, JsonSchemaValue] = {name: {} for name in PlaceArguments.model_fields}
     several = [*placers] != [""]
     if several:
@@ -205,12 +265,11 @@ def place_tool(
         name="place",
         title="Put down what the hand holds",
         description=f"Carry what {robot!r} holds by dx_m, dy_m, lower it to where it was grasped, "
-        "let go, leave "
-        "upwards. Stop the policy first; needs control.",
+        "let go, rise. Stop the policy first; needs control.",
         arguments=Derived(
             model=PlaceArguments, properties=properties, required=["arm"] if several else []
         ),
         result=Placed,
-        handler=_PlaceOfArm(placers) if several else placers[""],
+        handler=PlaceOfArm(placers) if several else placers[""],
         open_world=True,
     )

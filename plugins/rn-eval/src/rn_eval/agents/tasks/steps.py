@@ -106,11 +106,11 @@ async def wait_until_free(tools: ToolClient, within_s: float = 90.0) -> None:
 
 
 async def restart_what_is_broken(tools: ToolClient) -> None:
-    """Stop modules with a faulty health; the next start brings them up again."""
+    """Stop modules that need it; the next start brings them up again."""
     deadline_s = time.monotonic() + 3.0
     while time.monotonic() < deadline_s:
         status = await tools.must("get_status")
-        broken = [name for name, health in healths(status).items() if health in _BROKEN]
+        broken = broken_modules(status)
         for name in broken:
             await tools.call(f"stop_{name}")
         if broken:
@@ -118,7 +118,21 @@ async def restart_what_is_broken(tools: ToolClient) -> None:
         await anyio.sleep(0.3)
 
 
-_BROKEN = ("failing", "stalled", "stuck", "silent")
+_HANGS = ("stalled", "stuck", "silent")
+_WAITS = "not_ready"
+"""Error of a module that lacks another one's messages: it goes on when they are back."""
+
+
+def broken_modules(status: ToolAnswer) -> list[str]:
+    """Modules that go on only after a restart, from an answer of get_status."""
+    modules = status.data.get("modules")
+    assert isinstance(modules, list)
+    errors = {str(m["module"]): (m.get("error") or {}).get("code") for m in modules}
+    return [
+        name
+        for name, health in healths(status).items()
+        if health in _HANGS or (health == "failing" and errors[name] != _WAITS)
+    ]
 
 
 def healths(status: ToolAnswer) -> dict[str, str]:
