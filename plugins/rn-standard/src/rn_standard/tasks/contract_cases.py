@@ -140,10 +140,12 @@ def _all_scores(case: MonitorCase) -> list[Score]:
 def _check_form(case: MonitorCase) -> None:
     for score in _all_scores(case):
         require(isinstance(score, Score), f"returned {score!r}, expected a Score")
-        require(
-            score.value is None or 0.0 <= score.value <= 1.0,
-            f"scored {score.value}, expected 0 .. 1 or None",
-        )
+        for name in ("value", "progress", "failure"):
+            told = getattr(score, name)
+            require(
+                told is None or 0.0 <= told <= 1.0,
+                f"its {name} is {told}, expected 0 .. 1 or None",
+            )
         reason = score.reason
         require(bool(reason) and not reason.endswith("."), f"the reason is {reason!r}")
         is_short = len(reason) <= LONGEST_REASON and "\n" not in reason
@@ -176,7 +178,8 @@ def _check_input_kept(case: MonitorCase) -> None:
 def _check_quick(case: MonitorCase) -> None:
     monitor, start = case.build(), case.start()
     monitor.reset(start)
-    check_quick(SCORE_LIMIT_S, lambda: monitor.score(start), "score", tries=7)
+    limit_s = max(case.spec.limit_s, SCORE_LIMIT_S)
+    check_quick(limit_s, lambda: monitor.score(start), "score", tries=7)
 
 
 def _check_process(case: MonitorCase) -> None:
@@ -209,7 +212,11 @@ _OWN: tuple[Rule[MonitorCase], ...] = tuple(
         ("options-read", OPTIONS_READ, _check_options),
         ("process-left-alone", ALONE, _check_process),
         ("input-kept", "It writes into no part of an observation.", _check_input_kept),
-        ("score-quick", "One observation is judged within 50 ms.", _check_quick),
+        (
+            "score-quick",
+            "One observation is judged within `limit_s`, 50 ms by default.",
+            _check_quick,
+        ),
         (
             "undone-is-not-achieved",
             "What had come about and is undone does not score 0.9.",
@@ -225,7 +232,7 @@ _OWN: tuple[Rule[MonitorCase], ...] = tuple(
         ("blind-start-is-no-error", "A task may begin without images.", _check_never_reset),
         (
             "score-has-its-form",
-            "Scores are 0 .. 1 or None, each with a short reason without full stop.",
+            "Its numbers are 0 .. 1 or None, each with a short reason without full stop.",
             _check_form,
         ),
         ("repeatable", "The same observations give the same scores.", _check_repeatable),
@@ -335,5 +342,17 @@ def changed_case() -> MonitorCase:
     )
 
 
-CASES: tuple[Callable[[], MonitorCase], ...] = (lifted_case, region_case, changed_case)
+def http_case() -> MonitorCase:
+    """An endpoint that nobody serves: it cannot judge, which is no error."""
+    spec = next(spec for spec in MONITORS if spec.name == "http-judge")
+    options = {"url": "http://127.0.0.1:9/", "timeout_s": 1.0, "side_px": 64}
+    return MonitorCase(spec=spec, options=options)
+
+
+CASES: tuple[Callable[[], MonitorCase], ...] = (
+    lifted_case,
+    region_case,
+    changed_case,
+    http_case,
+)
 """Cases of this package's monitors."""
