@@ -49,15 +49,16 @@ class MonitorCase(Case[MonitorSpec]):
 
     Attributes:
         before: observation at the start of an attempt; two balls on a table if None.
-        achieved: observation in which its condition is true.
-        missed: observation in which it is false.
+        achieved: observation in which its condition is true, or several in the order of time, of
+            which the last counts.
+        missed: the same for one in which it is false.
     """
 
     subject: ClassVar[str] = "monitor"
 
     before: Observation | None = None
-    achieved: Observation | None = None
-    missed: Observation | None = None
+    achieved: Observation | tuple[Observation, ...] | None = None
+    missed: Observation | tuple[Observation, ...] | None = None
 
     def build(self) -> Monitor:
         """Create a new monitor."""
@@ -75,9 +76,15 @@ class MonitorCase(Case[MonitorSpec]):
             raise NotApplicable("the case shows no observations")
         monitor = monitor or self.build()
         monitor.reset(self.start())
-        achieved = monitor.score(self.achieved)
+        achieved = last_score(monitor, self.achieved)
         monitor.reset(self.start())
-        return achieved, monitor.score(self.missed)
+        return achieved, last_score(monitor, self.missed)
+
+
+def last_score(monitor: Monitor, seen: Observation | tuple[Observation, ...]) -> Score:
+    """The score of the last of some observations, after those before."""
+    scores = [monitor.score(each) for each in ((seen,) if isinstance(seen, Observation) else seen)]
+    return scores[-1]
 
 
 def _check_achieved(case: MonitorCase) -> None:
@@ -103,8 +110,8 @@ def _check_undone(case: MonitorCase) -> None:
     assert case.missed is not None
     monitor = case.build()
     monitor.reset(case.start())
-    monitor.score(case.achieved)
-    score = monitor.score(case.missed)
+    last_score(monitor, case.achieved)
+    score = last_score(monitor, case.missed)
     undone = score.value is None or score.value < _SURE
     require(undone, f"what had come about and is undone scores {score.value} ({score.reason})")
 
@@ -133,7 +140,7 @@ def _all_scores(case: MonitorCase) -> list[Score]:
     for seen in (case.start(), case.achieved, case.missed, _blind(case.start())):
         if seen is not None:
             monitor.reset(case.start())
-            found.append(monitor.score(seen))
+            found.append(last_score(monitor, seen))
     return found
 
 
@@ -193,7 +200,7 @@ def _check_options(case: MonitorCase) -> None:
         for seen in (case.start(), case.achieved, case.missed):
             if seen is not None:
                 monitor.reset(case.start())
-                monitor.score(seen)
+                last_score(monitor, seen)
 
     check_options_read(case, use)
 

@@ -1,0 +1,183 @@
+"""`roboneuron cubes-policy monitor`: train, calibrate and judge the monitor of success."""
+
+from __future__ import annotations
+
+import json
+from argparse import ArgumentParser, Namespace
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from roboneuron import ConfigurationError
+
+if TYPE_CHECKING:
+    from rn_policy_cubes.monitor.weights import MonitorWeights
+
+MONITOR_DIRECTORY = Path("out/cubes-monitor")
+EPISODES: Mapping[str, Mapping[str, int]] = {
+    "train": {
+        "success": 100,
+        "dropped": 80,
+        "wrong_cube": 100,
+        "no_grasp": 50,
+        "pushed": 40,
+        "frozen": 6,
+        "occluded": 60,
+    },
+    "calibration": {
+        "success": 60,
+        "dropped": 25,
+        "wrong_cube": 45,
+        "no_grasp": 12,
+        "pushed": 8,
+        "frozen": 6,
+        "occluded": 14,
+    },
+    "test": {
+        "success": 80,
+        "dropped": 75,
+        "wrong_cube": 160,
+        "no_grasp": 30,
+        "pushed": 25,
+        "frozen": 40,
+        "occluded": 30,
+    },
+}
+"""Episodes by kind: for training, for the choice of the thresholds, and unseen ones to judge."""
+Say = Callable[[str], None]
+_TRAINED, _PACKED = "trained.safetensors", "cubes-monitor.safetensors"
+
+
+def configure_monitor(parser: ArgumentParser) -> None:
+    """Add the arguments of `roboneuron cubes-policy monitor`."""
+    steps = parser.add_subparsers(dest="step", required=True, metavar="STEP", help="what to do")
+    for name, text in (
+        ("train", "record episodes, train, and choose the thresholds, or continue"),
+        ("evaluate", "record unseen episodes, judge them, write table and ROC curves"),
+    ):
+        step = steps.add_parser(name, help=text)
+        add = step.add_argument
+        add("--out", type=Path, default=MONITOR_DIRECTORY, help="default: %(default)s")
+        add("--share", type=float, default=1.0, help="share of the episodes (default: 1)")
+        if name == "train":
+            add("--threads", type=int, default=1, help="threads on a CPU (default: 1)")
+            add(
+                "--set",
+                action="append",
+                default=[],
+                metavar="NAME=VALUE",
+                help="set a value of the recipe: steps=500",
+            )
+        else:
+            add("--weights", type=Path, help="default: OUT/cubes-monitor.safetensors if it exists")
+
+
+def run_monitor(arguments: Namespace, settings: Mapping[str, object], say: Say) -> int:
+    """Run `roboneuron cubes-policy monitor`."""
+    if not 0.0 < arguments.share <= 1.0:
+        raise ConfigurationError(
+            f"--share is {arguments.share:g}, expected more than 0 and up to 1."
+        )
+    if arguments.step == "train":
+        return _train(arguments, settings, say)
+    return _evaluate(arguments, say)
+
+
+def episodes_of(split: str, share: float) -> dict[str, int]:
+    """Number of episodes by kind; at least one of each."""
+    return {kind: max(1, round(share * count)) for kind, count in EPISODES[split].items()}
+
+
+def recorded(out: Path, split: str, share: float, say: Say) -> list[Path]:
+    """Record the episodes of a split that are missing; return the files of all."""
+    from rn_policy_cubes.monitor.episodes import path_of, write_episode
+    from rn_policy_cubes.progress import Progress
+
+    directory, wanted = out / "episodes", episodes_of(split, share)
+    most = max(wanted.values())
+    # kinds alternate, so that an interrupted recording has some of each
+    order = [
+        (kind, index)
+        for turn in range(most)
+        for kind, count in wanted.items()
+        for index in range(turn * count // most, (turn + 1) * count // most)
+    ]
+    missing = [pair for pair in order if not path_of(directory, split, *pair).exists()]
+    progress = Progress(f"episode ({split})", len(order), len(order) - len(missing), say)
+    for number, (kind, index) in enumerate(missing, 1):
+        write_episode(directory, split, kind, index)
+        progress.update(len(order) - len(missing) + number)
+    return sorted(path_of(directory, split, kind, index) for kind, index in order)
+
+
+def _train(arguments: Namespace, settings: Mapping[str, object], say: Say) -> int:
+    import torch
+    from pydantic import ValidationError
+
+    from rn_policy_cubes.monitor.fitting import MonitorRecipe, fit
+    from rn_policy_cubes.monitor.layers import MonitorLayers
+    from rn_policy_cubes.monitor.samples import Samples
+    from rn_policy_cubes.monitor.weights import MonitorCard, MonitorWeights
+
+    torch.set_num_threads(arguments.threads)
+    out, share = arguments.out, arguments.share
+    try:
+        recipe = MonitorRecipe.model_validate(settings)
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise ConfigurationError(f"{'.'.join(map(str, first['loc']))}: {first['msg']}.") from None
+    paths = recorded(out, "train", share, say)
+    network, step = fit(Samples.read(paths), recipe, out, say)
+    card = MonitorCard(recipe=recipe.model_dump(), step=step, episodes=episodes_of("train", share))
+    weights = MonitorWeights(card, MonitorLayers(network.tensors()))
+    weights.write(out / _TRAINED)
+    # as a task reads them: in half precision
+    calibrated = _calibrated(MonitorWeights.read(out / _TRAINED), out, share, say)
+    calibrated.write(out / _PACKED)
+    say(f"{out / _PACKED}: {(out / _PACKED).stat().st_size / 1e3:.0f} kB")
+    return 0
+
+
+def _calibrated(weights: MonitorWeights, out: Path, share: float, say: Say) -> MonitorWeights:
+    from rn_policy_cubes.monitor.assessment import judge_files, write_judged
+    from rn_policy_cubes.monitor.layers import MonitorLayers
+    from rn_policy_cubes.monitor.statistics import threshold
+    from rn_policy_cubes.monitor.weights import MonitorWeights as Weights
+
+    judged = judge_files(recorded(out, "calibration", share, say), weights)
+    write_judged(out / "calibration.jsonl", judged)
+    good = [each for each in judged if each.is_success]
+    bad = [each for each in judged if not each.is_success]
+    success = threshold([each.success for each in good], [each.success for each in bad])
+    failure = threshold([each.failure for each in bad], [each.failure for each in good])
+    counts = {kind: sum(each.kind == kind for each in judged) for kind in EPISODES["calibration"]}
+    card = weights.card.model_copy(
+        update={
+            "success_threshold": success,
+            "failure_threshold": failure,
+            "calibrated_on": counts,
+        }
+    )
+    say(f"thresholds: success {success:.4f}, failure {failure:.4f}")
+    return Weights(card, MonitorLayers(weights.layers.tensors))
+
+
+def _evaluate(arguments: Namespace, say: Say) -> int:
+    from rn_policy_cubes.monitor.assessment import judge_files, summary, table, write_judged
+    from rn_policy_cubes.monitor.roc_plot import roc_svg
+    from rn_policy_cubes.monitor.weights import MonitorWeights, shipped_monitor
+
+    out, path = arguments.out, arguments.weights
+    if path is None:
+        path = out / _PACKED if (out / _PACKED).exists() else shipped_monitor()
+    paths = recorded(out, "test", arguments.share, say)
+    judged = judge_files(paths, MonitorWeights.read(path))
+    write_judged(out / "test.jsonl", judged)
+    figures = summary(judged)
+    (out / "test.json").write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
+    (out / "roc.svg").write_text(roc_svg(judged), encoding="utf-8")
+    say(table(judged))
+    say(json.dumps(figures, indent=1))
+    say(f"{len(paths) - len(judged)} of {len(paths)} episodes were not of their kind")
+    say(f"{out / 'test.jsonl'}, {out / 'test.json'}, {out / 'roc.svg'}")
+    return 0
