@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from rn_standard.tasks.monitor import Score
-from roboneuron import ConfigurationError, Frame, Observation
+from roboneuron import ConfigurationError, ConfigurationOnly, Frame, Observation
 
 _MOST_BYTES = 65_536
 _MOST_TEXT = 200
@@ -27,10 +27,10 @@ class HttpJudgeOptions(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    url: str = Field(
+    url: Annotated[str, ConfigurationOnly()] = Field(
         pattern=r"^https?://", description="where pictures and instruction are sent to (POST)"
     )
-    token_env: str = Field(
+    token_env: Annotated[str, ConfigurationOnly()] = Field(
         default="", description="environment variable with a bearer token; none when empty"
     )
     timeout_s: Annotated[float, Field(gt=0, le=4.5)] = Field(
