@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from rn_policy_cubes.demonstrations import COLOURS, SIDE_PX
-from rn_policy_cubes.monitor.episodes import HELD_S, KINDS, SUCCESS, Recording, read_episode
+from rn_policy_cubes.monitor.episodes import HELD_S, KINDS, SUCCESS, InjectedEpisode, read_episode
 from rn_policy_cubes.monitor.statistics import area, upper_bound
 from rn_policy_cubes.monitor.success import COUNTS, CubesSuccess
 from rn_policy_cubes.monitor.weights import MonitorWeights
@@ -56,7 +56,7 @@ class JudgedEpisode:
     last_progress: float
 
 
-def judge_episode(recording: Recording, weights: MonitorWeights) -> JudgedEpisode:
+def judge_episode(recording: InjectedEpisode, weights: MonitorWeights) -> JudgedEpisode:
     """Show an episode to the monitor."""
     monitor, pictures = CubesSuccess.of(weights), FrozenPictures()
     raw: list[tuple[float, float]] = []
@@ -105,7 +105,7 @@ def judge_episode(recording: Recording, weights: MonitorWeights) -> JudgedEpisod
     )
 
 
-def observations(recording: Recording) -> Iterable[Observation]:
+def observations(recording: InjectedEpisode) -> Iterable[Observation]:
     """The episode's pictures as a task's snapshots deliver them."""
     calibration = cameras()[0].calibration(SIDE_PX, SIDE_PX)
     instruction = f"pick up the {COLOURS[recording.target]} cube"

@@ -59,7 +59,7 @@ _FAILING_HANDS = ("dropped", "wrong_cube", "no_grasp", "pushed")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Recording:
+class InjectedEpisode:
     """A recorded episode.
 
     Attributes:
@@ -129,10 +129,10 @@ def write_episode(directory: Path, split: str, kind: str, index: int) -> bool:
     return True
 
 
-def read_episode(path: Path) -> Recording:
+def read_episode(path: Path) -> InjectedEpisode:
     """Read an episode. Raises OSError or ValueError for a missing or damaged file."""
     with np.load(path, allow_pickle=False) as data:
-        return Recording(
+        return InjectedEpisode(
             kind=str(data["kind"]),
             target=int(data["target"]),
             seed=int(data["seed"]),
@@ -141,12 +141,12 @@ def read_episode(path: Path) -> Recording:
         )
 
 
-def record_episode(kind: str, seed: int) -> Recording:
+def record_episode(kind: str, seed: int) -> InjectedEpisode:
     """Run an episode in the simulated cell, with PyBullet."""
-    return _Episode(kind, seed).run()
+    return _EpisodeRecorder(kind, seed).run()
 
 
-class _Episode(ShardRecorder):
+class _EpisodeRecorder(ShardRecorder):
     """One episode; the steps of its hand are a generator that yields actions (7,)."""
 
     def __init__(self, kind: str, seed: int) -> None:
@@ -167,7 +167,7 @@ class _Episode(ShardRecorder):
         self._obstacle: _Obstacle | None = None
         self._event_step = 0
 
-    def run(self) -> Recording:  # type: ignore[override]
+    def run(self) -> InjectedEpisode:  # type: ignore[override]
         """Run it; the camera looks every `LOOK_EVERY` actions."""
         with ArmSimulation(self._scene, engine="pybullet") as simulation:
             disturb_at = self._disturbance_step()
@@ -177,7 +177,7 @@ class _Episode(ShardRecorder):
                 if step >= _MOST_STEPS:
                     break
                 self.execute(simulation, action)
-        return Recording(
+        return InjectedEpisode(
             kind=self._kind,
             target=self._target,
             seed=self._scene,

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rn_policy_cubes.demonstrations import SIDE_PX
-from rn_policy_cubes.monitor.episodes import Recording, read_episode
+from rn_policy_cubes.monitor.episodes import InjectedEpisode, read_episode
 from rn_policy_cubes.monitor.layers import state_of
 from rn_policy_cubes.monitor.views import close_view, whole_view
 from rn_robot_fr3.cameras import cameras
@@ -41,7 +41,7 @@ class Samples:
     known: F32
 
     @classmethod
-    def of(cls, recording: Recording) -> Samples:
+    def of(cls, recording: InjectedEpisode) -> Samples:
         """The views of an episode."""
         calibration = cameras()[0].calibration(SIDE_PX, SIDE_PX)
         views, pictures = recording.views, recording.pictures

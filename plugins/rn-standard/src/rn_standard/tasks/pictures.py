@@ -17,7 +17,7 @@ _MOVED_M, _MOVED_OPENING = 0.01, 0.05
 
 
 @dataclass(slots=True)
-class _Seen:
+class _CameraTrace:
     """A camera's newest content, and where the arm was when it was first seen."""
 
     digest: int
@@ -38,7 +38,7 @@ class FrozenPictures:
     """
 
     def __init__(self) -> None:
-        self._seen: dict[str, _Seen] = {}
+        self._seen: dict[str, _CameraTrace] = {}
 
     def look(self, observation: Observation, now_s: float) -> str:
         """Add an observation, in the order of time; return what is wrong with its pictures, or "".
@@ -59,7 +59,7 @@ class FrozenPictures:
         seen = self._seen.get(role)
         if seen is None or seen.digest != digest:
             tcp_m = None if pose is None else pose.position_m
-            made = _Seen(digest, frame.stamp_ns, now_s, tcp_m, opening)
+            made = _CameraTrace(digest, frame.stamp_ns, now_s, tcp_m, opening)
             if seen is not None and seen.stamp_ns == frame.stamp_ns:
                 made.stamp_since_s, made.is_live = seen.stamp_since_s, seen.is_live
             elif seen is not None:
