@@ -16,6 +16,7 @@ import anyio
 import pytest
 from mcp import Client, types
 from mcp.shared.exceptions import MCPError
+from pydantic import BaseModel, Field
 
 from rn_standard.direct_path.plugin import FEATURE as DIRECT_PATH
 from rn_standard.ops.plugin import CLIENTS
@@ -56,11 +57,31 @@ FIELD = {
 }
 
 
+class ReaderOptions(BaseModel):
+    weights_file: str = Field(default="", description="a file")
+    least: float = Field(default=0.1, description="a number")
+
+
+class Reader:
+    """A monitor with a file."""
+
+    def __init__(self, config: ReaderOptions | None) -> None:
+        pass
+
+
+READER = MonitorSpec(
+    name="reader",
+    summary="For tests.",
+    target=f"{__name__}:Reader",
+    config=f"{__name__}:ReaderOptions",
+)
+
+
 @pytest.fixture(scope="module")
 def application(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Application]:
     """The fakes and this feature; nothing may be spawned."""
     registry = replace(
-        fake_registry(SELECTION, FEATURE, CLIENTS, DIRECT_PATH, *MONITORS),
+        fake_registry(SELECTION, FEATURE, CLIENTS, DIRECT_PATH, *MONITORS, READER),
         kinds={**PLUGIN_KINDS, MonitorSpec.kind: MonitorSpec},
     )
     made = Application(
@@ -116,6 +137,18 @@ def test_an_agent_cannot_choose_a_monitor_of_the_configuration(application: Appl
     assert result.is_error
     assert "http-judge' is not for predicates" in text_of(result)
     assert "[tasks.monitor]" in text_of(result)
+
+
+def test_an_agent_cannot_point_a_monitor_at_a_file(application: Application) -> None:
+    until = {"kind": "monitor", "name": "reader", "options": {"weights_file": "/etc/passwd"}}
+    result = call(application, "run_task", {"instruction": "go", "until": until})
+    assert result.is_error
+    assert "Only the configuration may set weights_file of monitor 'reader'" in text_of(result)
+    until["options"] = {"least": 0.5}
+    # refused by what comes later: nothing runs
+    assert "Only the configuration" not in text_of(
+        call(application, "run_task", {"instruction": "go", "until": until})
+    )
 
 
 def test_a_monitor_that_is_not_installed_is_a_mistake_of_the_configuration(

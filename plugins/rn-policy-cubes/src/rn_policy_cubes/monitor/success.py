@@ -6,7 +6,8 @@ import math
 import re
 from collections import deque
 from dataclasses import dataclass
-from typing import Literal
+from pathlib import Path
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,7 @@ from rn_policy_cubes.monitor.weights import MonitorWeights, shipped_monitor
 from rn_simulation.cubes import DEFAULT_COLOURS
 from rn_standard.tasks.monitor import Score
 from rn_standard.tasks.pictures import FrozenPictures
-from roboneuron import Observation
+from roboneuron import ConfigurationOnly, Observation
 
 COLOURS = DEFAULT_COLOURS
 HELD_S = 1.0
@@ -44,6 +45,9 @@ class SuccessOptions(BaseModel):
 
     colour: Literal["", "red", "green", "blue", "yellow"] = Field(
         default="", description="of the cube to be lifted; as the instruction says when empty"
+    )
+    weights: Annotated[str, ConfigurationOnly()] = Field(
+        default="", description="file of `cubes-policy monitor train`; the shipped one when empty"
     )
 
 
@@ -80,6 +84,9 @@ class CubesSuccess:
         made._weights = weights
         return made
 
+    def _file(self) -> Path:
+        return Path(self._options.weights) if self._options.weights else shipped_monitor()
+
     def _begin(self) -> None:
         self._history: deque[_Told] = deque()
         self._pictures = FrozenPictures()
@@ -90,7 +97,7 @@ class CubesSuccess:
     def reset(self, observation: Observation) -> None:
         """See `Monitor`."""
         if self._weights is None:
-            self._weights = MonitorWeights.read(shipped_monitor())
+            self._weights = MonitorWeights.read(self._file())
         self._begin()
 
     def score(self, observation: Observation) -> Score:

@@ -13,6 +13,7 @@ from rn_standard.direct_path import truth
 from rn_standard.direct_path.exposed import check_no_preview
 from rn_standard.direct_path.fields import check_path, load_type
 from rn_standard.inference.instruction_text import InstructionText
+from rn_standard.selection.restricted import restricted_values
 from rn_standard.tasks.approval import Approval
 from rn_standard.tasks.arbiter import TaskArbiter
 from rn_standard.tasks.guarded import SLOW_S, AskedMonitor
@@ -48,7 +49,7 @@ from roboneuron import (
     StateError,
     Tool,
 )
-from roboneuron.feature import Stage, build, check_topic
+from roboneuron.feature import Stage, build, check_topic, loading
 
 HOLD, STOP = "hold", "stop"
 """Actions at the end of a task, in addition to the names of postures and places."""
@@ -224,8 +225,9 @@ class TaskTool:
             raise RefusedError(
                 f"Monitor {predicate.name!r} is not for predicates.",
                 hint="Only [tasks.monitor] of the configuration may choose it.",
-                rule="configuration_only",
+                rule="configuration",
             )
+        _check_may_set(spec, predicate.options)
         if spec.limit_s > SLOW_S:
             return AskedMonitor(
                 lambda: cast("Monitor", build(spec, predicate.options)), spec.limit_s
@@ -270,6 +272,23 @@ class TaskTool:
                     )
                 names += _of_roles(roles, (*spec.cameras, *spec.optional_cameras), names)
         return names
+
+
+def _check_may_set(spec: MonitorSpec, options: Mapping[str, object]) -> None:
+    """Refuse options that only the configuration may set: files, hosts, secrets.
+
+    Raises:
+        RefusedError: names the options.
+    """
+    if spec.config is None:
+        return
+    barred = sorted(restricted_values(loading.load_options_model(spec), options))
+    if barred:
+        raise RefusedError(
+            f"Only the configuration may set {', '.join(barred)} of monitor {spec.name!r}.",
+            hint="A person can name the monitor in [tasks.monitor], with these options.",
+            rule="configuration",
+        )
 
 
 def _of_roles(roles: Mapping[str, str], wanted: Iterable[str], known: list[str]) -> list[str]:
