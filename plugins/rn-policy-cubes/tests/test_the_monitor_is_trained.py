@@ -105,7 +105,10 @@ def test_a_server_with_the_monitor_imports_no_torch() -> None:
 def test_from_nothing_to_a_judged_monitor(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    few = {split: {"success": 1, "wrong_cube": 1} for split in monitor_command.EPISODES}
+    few = {
+        split: {"success": (number, number + 1), "wrong_cube": (number, number + 1)}
+        for number, split in enumerate(monitor_command.EPISODES)
+    }
     monkeypatch.setattr(monitor_command, "EPISODES", few)
     parser, command = ArgumentParser(), CubesPolicy()
     command.configure(parser)

@@ -14,36 +14,36 @@ if TYPE_CHECKING:
     from rn_policy_cubes.monitor.weights import MonitorWeights
 
 MONITOR_DIRECTORY = Path("out/cubes-monitor")
-EPISODES: Mapping[str, Mapping[str, int]] = {
+EPISODES: Mapping[str, Mapping[str, tuple[int, int]]] = {
     "train": {
-        "success": 100,
-        "dropped": 80,
-        "wrong_cube": 100,
-        "no_grasp": 50,
-        "pushed": 40,
-        "frozen": 6,
-        "occluded": 60,
+        "success": (0, 30),
+        "dropped": (0, 24),
+        "wrong_cube": (0, 36),
+        "no_grasp": (0, 12),
+        "pushed": (0, 8),
+        "occluded": (0, 16),
     },
     "calibration": {
-        "success": 40,
-        "dropped": 20,
-        "wrong_cube": 35,
-        "no_grasp": 8,
-        "pushed": 5,
-        "frozen": 4,
-        "occluded": 10,
+        "success": (30, 45),
+        "dropped": (24, 32),
+        "wrong_cube": (36, 48),
+        "no_grasp": (12, 16),
+        "pushed": (8, 11),
+        "occluded": (16, 22),
     },
     "test": {
-        "success": 60,
-        "dropped": 60,
-        "wrong_cube": 160,
-        "no_grasp": 25,
-        "pushed": 20,
-        "frozen": 30,
-        "occluded": 25,
+        "success": (45, 100),
+        "dropped": (32, 80),
+        "wrong_cube": (48, 172),
+        "no_grasp": (16, 50),
+        "pushed": (11, 40),
+        "frozen": (0, 30),
+        "occluded": (22, 60),
     },
 }
-"""Episodes by kind: for training, for the choice of the thresholds, and unseen ones to judge."""
+"""First and end of the numbers of episodes by kind: for training, for the choice of the
+thresholds, and unseen ones to judge. All are of different scenes.
+"""
 Say = Callable[[str], None]
 _TRAINED, _PACKED = "trained.safetensors", "cubes-monitor.safetensors"
 
@@ -85,7 +85,9 @@ def run_monitor(arguments: Namespace, settings: Mapping[str, object], say: Say) 
 
 def episodes_of(split: str, share: float) -> dict[str, int]:
     """Number of episodes by kind; at least one of each."""
-    return {kind: max(1, round(share * count)) for kind, count in EPISODES[split].items()}
+    return {
+        kind: max(1, round(share * (end - first))) for kind, (first, end) in EPISODES[split].items()
+    }
 
 
 def recorded(out: Path, split: str, share: float, say: Say) -> list[Path]:
@@ -94,20 +96,18 @@ def recorded(out: Path, split: str, share: float, say: Say) -> list[Path]:
     from rn_policy_cubes.progress import Progress
 
     directory, wanted = out / "episodes", episodes_of(split, share)
-    most = max(wanted.values())
-    # kinds alternate, so that an interrupted recording has some of each
     order = [
-        (kind, index)
-        for turn in range(most)
+        (kind, EPISODES[split][kind][0] + number)
         for kind, count in wanted.items()
-        for index in range(turn * count // most, (turn + 1) * count // most)
+        for number in range(count)
     ]
-    missing = [pair for pair in order if not path_of(directory, split, *pair).exists()]
-    progress = Progress(f"episode ({split})", len(order), len(order) - len(missing), say)
+    missing = [pair for pair in order if not path_of(directory, *pair).exists()]
+    done = len(order) - len(missing)
+    progress = Progress(f"episode ({split})", len(order), done, say)
     for number, (kind, index) in enumerate(missing, 1):
-        write_episode(directory, split, kind, index)
-        progress.update(len(order) - len(missing) + number)
-    return sorted(path_of(directory, split, kind, index) for kind, index in order)
+        write_episode(directory, kind, index)
+        progress.update(done + number)
+    return sorted(path_of(directory, kind, index) for kind, index in order)
 
 
 def _train(arguments: Namespace, settings: Mapping[str, object], say: Say) -> int:

@@ -14,7 +14,7 @@ _VIEWS = 6
 def case() -> MonitorCase:
     """The named cube held up, and another one."""
     held, wrong = (
-        tuple(observations(record_episode(kind, seed_of("calibration", kind, 50_000))))
+        tuple(observations(record_episode(kind, seed_of(kind, 50_000))))
         for kind in (SUCCESS, "wrong_cube")
     )
     return MonitorCase(

@@ -28,10 +28,8 @@ KINDS = (SUCCESS, *FAILURES)
 """What happens in an episode: the named cube is lifted and held, or an injected failure."""
 HELD_S = 1.0
 """Time for which the named cube has to be held 10 cm up, as in the suite "cubes" [s]."""
-SEED_OF_SPLIT = {"train": 30_000_000, "calibration": 40_000_000, "test": 50_000_000}
-"""First scene of the episodes for training, for the choice of the threshold, and for the test; the
-scenes of demonstrations and of the policy's evaluation have lower seeds.
-"""
+FIRST_SCENE = 30_000_000
+"""Scene of the first episode; those of demonstrations and of the policy's evaluation are lower."""
 LOOK_EVERY = 3
 """Actions between two pictures: one each 0.3 s."""
 VIEW = np.dtype(
@@ -100,23 +98,23 @@ class InjectedEpisode:
         return float(views["time_s"][np.argmax(found) if found.any() else -1])
 
 
-def seed_of(split: str, kind: str, index: int) -> int:
-    """Scene of an episode."""
-    return SEED_OF_SPLIT[split] + _PER_KIND * KINDS.index(kind) + index
+def seed_of(kind: str, index: int) -> int:
+    """Scene of an episode; no two episodes share one."""
+    return FIRST_SCENE + _PER_KIND * KINDS.index(kind) + index
 
 
-def path_of(directory: Path, split: str, kind: str, index: int) -> Path:
+def path_of(directory: Path, kind: str, index: int) -> Path:
     """File of an episode."""
-    return directory / split / f"{kind}-{index:05d}.npz"
+    return directory / f"{kind}-{index:05d}.npz"
 
 
-def write_episode(directory: Path, split: str, kind: str, index: int) -> bool:
+def write_episode(directory: Path, kind: str, index: int) -> bool:
     """Record an episode into its file; False if it was there already."""
-    path = path_of(directory, split, kind, index)
+    path = path_of(directory, kind, index)
     if path.exists():
         return False
     path.parent.mkdir(parents=True, exist_ok=True)
-    made = record_episode(kind, seed_of(split, kind, index))
+    made = record_episode(kind, seed_of(kind, index))
     with replacing(path) as unfinished, unfinished.open("wb") as file:
         np.savez_compressed(
             file,

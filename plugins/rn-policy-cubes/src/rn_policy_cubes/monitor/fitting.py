@@ -38,7 +38,7 @@ class MonitorRecipe(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    steps: int = Field(default=1500, ge=1, description="optimiser steps")
+    steps: int = Field(default=700, ge=1, description="optimiser steps")
     views: int = Field(default=64, ge=1, description="views of a step")
     rate: float = Field(default=2e-3, gt=0, description="highest learning rate")
     decay: float = Field(default=1e-3, ge=0, description="weight decay")
