@@ -206,9 +206,10 @@ class Task:
             self._attempt += 1
             self._say("begins")
             snapshot = self._cell.look()
-            for each in (self._judge, self._watch):
-                if each is not None:
-                    each.reset(snapshot)
+            if self._judge is not None:
+                self._judge.reset(snapshot)
+            if self._watch is not None:
+                self._watch.reset(snapshot)
             try:
                 self._cell.begin(plan.instruction)
             except RoboNeuronError as error:

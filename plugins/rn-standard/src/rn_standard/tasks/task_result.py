@@ -8,7 +8,7 @@ from pydantic import Field
 
 from rn_standard.tasks.runner import TaskEnd
 from rn_standard.tasks.snapshot import ArmSnapshot, Snapshot
-from rn_standard.tasks.task_watch import MonitorReport
+from rn_standard.tasks.task_watch import MonitorReport, Says
 from roboneuron import Result
 
 
@@ -16,7 +16,7 @@ class MonitorWord(Result):
     """Last word of the monitor that watched a task; unknown values are null."""
 
     name: str
-    says: Literal["success", "failure", "not_yet", "unsure", "absent"]
+    says: Says
     reason: str
     agrees: bool | None = Field(default=None, description="with the predicate")
     value: float | None = Field(default=None, description="probability of success")

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Final, Literal
 
 from rn_standard.tasks.guarded import GuardedMonitor, MonitorAnswer, absent
 from rn_standard.tasks.judging import PredicateState
@@ -15,10 +16,15 @@ from rn_standard.tasks.options import TaskMonitorOptions
 from rn_standard.tasks.pictures import FrozenPictures
 from rn_standard.tasks.snapshot import Snapshot
 
-SUCCESS, FAILURE, NOT_YET, UNSURE, ABSENT = "success", "failure", "not_yet", "unsure", "absent"
+Says = Literal["success", "failure", "not_yet", "unsure", "absent"]
 """What a monitor says: it is done; this attempt has failed; it is not done; it cannot tell; there
 is no answer that counts.
 """
+SUCCESS: Final = "success"
+FAILURE: Final = "failure"
+NOT_YET: Final = "not_yet"
+UNSURE: Final = "unsure"
+ABSENT: Final = "absent"
 END, FAIL, CONFIRM = "end", "fail", "confirm"
 """What a monitor may do, see `TaskMonitorOptions.acts`."""
 _DISAGREED_S = 1.0
@@ -34,7 +40,7 @@ class MonitorReport:
 
     Attributes:
         name: of the monitor.
-        says: one of `SUCCESS`, `FAILURE`, `NOT_YET`, `UNSURE` and `ABSENT`.
+        says: its word.
         reason: the monitor's reason, or why it is absent; without full stop.
         value, progress, failure: as in `Score`; None if absent.
         agrees: whether it agrees with the predicate; None if one of them does not say.
@@ -42,7 +48,7 @@ class MonitorReport:
     """
 
     name: str
-    says: str
+    says: Says
     reason: str
     value: float | None
     progress: float | None
@@ -142,7 +148,7 @@ class TaskWatch:
         says = self.says()[0]
         return says not in (SUCCESS if predicate else NOT_YET, FAILURE, ABSENT)
 
-    def says(self) -> tuple[str, MonitorAnswer]:
+    def says(self) -> tuple[Says, MonitorAnswer]:
         """What the monitor says now, with its answer."""
         answer = self._answer()
         score, least = answer.score, self._options.at_least
