@@ -158,7 +158,7 @@ class _EpisodeRecorder(ShardRecorder):
         if kind == "frozen":
             self._hand = str(random.choice(("dropped", "success", "no_grasp")))
         self._noise_m = float(random.choice([0.0, 0.002, 0.005]))
-        self._views: list[NDArray[np.void]] = []
+        self._looks: list[NDArray[np.void]] = []
         self._images: list[U8] = []
         self._frozen: tuple[U8, float] | None = None
         self._stops_stamps = bool(random.random() < 0.5)
@@ -179,7 +179,7 @@ class _EpisodeRecorder(ShardRecorder):
             kind=self._kind,
             target=self._target,
             seed=self._scene,
-            views=np.array(self._views, dtype=VIEW),
+            views=np.array(self._looks, dtype=VIEW),
             pictures=np.stack(self._images),
         )
 
@@ -216,7 +216,7 @@ class _EpisodeRecorder(ShardRecorder):
             self._obstacle = self._obstacle or _Obstacle(self.random)
             picture = self._obstacle.put_into(picture, tcp)
             view["is_hidden"] = True
-        self._views.append(view)
+        self._looks.append(view)
         self._images.append(picture)
 
     def _steps(self, simulation: ArmSimulation) -> Iterator[F64]:
@@ -283,7 +283,7 @@ class _EpisodeRecorder(ShardRecorder):
 
     @property
     def _was_up(self) -> bool:
-        return any(view["lifted_m"][self._target] > 0.05 for view in self._views)
+        return any(view["lifted_m"][self._target] > 0.05 for view in self._looks)
 
     def _let_fall(self, simulation: ArmSimulation, name: str) -> None:
         """Put the cube onto the table below the hand, at rest."""

@@ -111,7 +111,7 @@ def fit(
             group["lr"] = recipe.rate * _warmth(step, recipe.steps)
         loss = _loss(network, samples, recipe, step)
         optimiser.zero_grad()
-        loss.backward()
+        loss.backward()  # type: ignore[no-untyped-call]
         optimiser.step()
         if (step + 1) % _SAVE_EVERY == 0 or step + 1 == last:
             out.mkdir(parents=True, exist_ok=True)

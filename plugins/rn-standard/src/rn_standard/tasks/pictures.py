@@ -55,7 +55,7 @@ class FrozenPictures:
 
     def _look(self, role: str, frame: Frame, observation: Observation, now_s: float) -> str:
         pose, opening = observation.ee_pose, observation.gripper_open
-        digest = zlib.crc32(np.ascontiguousarray(frame.image))
+        digest = zlib.crc32(np.ascontiguousarray(frame.image).data)
         seen = self._seen.get(role)
         if seen is None or seen.digest != digest:
             tcp_m = None if pose is None else pose.position_m
