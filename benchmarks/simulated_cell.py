@@ -13,8 +13,8 @@ from rn_eval.suite import Setup
 from rn_robot_fr3.limits import FINGER_JOINT
 from rn_robot_fr3.simulation import STEP_S, ArmSimulation
 from rn_standard.tasks.predicates import Predicate, parse_predicate
-from rn_standard.tasks.runner import PolicyState
 from rn_standard.tasks.snapshot import Snapshot, StillClock
+from rn_standard.tasks.task_robot import PolicyState
 from roboneuron import Backend, Observation, RoboNeuronError
 from roboneuron.server.tool import Picture
 
@@ -75,7 +75,7 @@ class FailingGripper:
 
 
 class SimulatedCell:
-    """Implements `rn_standard.tasks.runner.TaskRobot` on the time of a stepped simulation."""
+    """Implements `rn_standard.tasks.task_robot.TaskRobot` on the time of a stepped simulation."""
 
     def __init__(self, scene: CubesScene, backend: Backend, setup: Setup) -> None:
         self._scene, self._backend, self._setup = scene, backend, setup

@@ -65,7 +65,8 @@ PUBLISHED = {
     "selection": "choosing options requests restricted",
     "stdio": "envelope",
     "stepped": "clock watch",
-    "tasks": "contract_cases history hooks judging monitor moving run_task runner snapshot",
+    "tasks": "contract_cases guarded history hooks judging monitor moving pictures run_task runner "
+    "snapshot task_robot",
     "teleoperation": "contract_cases feature hooks rows samples",
     "tools_arm": "ee_move end_effector grip joints placing prediction tightening tools",
     "tools_loop": "instructing results",

@@ -1,23 +1,40 @@
-"""The command keeps the contract of commands, and its package that of plugins."""
+"""The command, the monitor and their package keep their contracts."""
 
 from __future__ import annotations
 
 from argparse import ArgumentParser
+from functools import cache
 from pathlib import Path
 
 import pytest
 
 from rn_policy_cubes import checkpoint as checkpoint_module
 from rn_policy_cubes.command import CubesPolicy
+from rn_policy_cubes.monitor.contract_case import case
 from rn_policy_cubes.plugin import COMMAND
+from rn_standard.tasks.contract_cases import MonitorCase
+from rn_standard.tasks.hooks import MonitorSpec
 from rn_testing import CommandCase, CommandContract, PackageCase, PackageContract
+from rn_testing.contracts import contract_of
 from roboneuron import ConfigurationError
+
+
+@cache
+def rendered_case() -> MonitorCase:
+    """The monitor's case, which takes seconds to render."""
+    return case()
 
 
 class TestCommand(CommandContract):
     @pytest.fixture
     def plugin(self) -> CommandCase:
         return CommandCase(spec=COMMAND)
+
+
+class TestMonitor(contract_of(MonitorSpec)):
+    @pytest.fixture
+    def plugin(self) -> MonitorCase:
+        return rendered_case()
 
 
 class TestPackage(PackageContract):

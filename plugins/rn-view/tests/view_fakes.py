@@ -210,3 +210,16 @@ def joints(**positions: float) -> Any:
     from sensor_msgs.msg import JointState
 
     return JointState(name=list(positions), position=[float(value) for value in positions.values()])
+
+
+class MaintenanceSwitch:
+    """A maintenance mode without a robot."""
+
+    state: str | None = None
+
+    def begin(self, who: str, role: str, reason: str) -> str:
+        self.state = f"{who} took the robot out of service: {reason}"
+        return self.state
+
+    def end(self, who: str, role: str) -> None:
+        self.state = None

@@ -8,6 +8,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from rn_policy_cubes.monitor.command import configure_monitor, run_monitor
 from roboneuron import ConfigurationError
 
 if TYPE_CHECKING:
@@ -65,6 +66,9 @@ class CubesPolicy:
         rollback.add_argument(
             "--out", type=Path, default=IMPROVED_DIRECTORY, help="default: %(default)s"
         )
+        configure_monitor(
+            actions.add_parser("monitor", help="train and judge the monitor of success")
+        )
         pack = actions.add_parser("pack", help="write the trained weights as one small file")
         pack.add_argument(
             "--out", type=Path, default=DEFAULT_DIRECTORY, help="folder of the training"
@@ -87,6 +91,8 @@ class CubesPolicy:
                 return _improve(arguments)
             case "rollback":
                 return _roll_back(arguments)
+            case "monitor":
+                return _monitor(arguments)
             case "pack":
                 return _pack(arguments)
             case _:
@@ -155,6 +161,11 @@ def _improve(arguments: Namespace) -> int:
         _say("the challenger is promoted" if is_promoted else "it is worse: the champion stays")
         _say(f"the champion: {wheel.checkpoint(wheel.champion)}")
     return 0
+
+
+def _monitor(arguments: Namespace) -> int:
+    os.environ["OMP_NUM_THREADS"] = str(getattr(arguments, "threads", 1))
+    return run_monitor(arguments, _settings(getattr(arguments, "set", [])), _say)
 
 
 def _roll_back(arguments: Namespace) -> int:

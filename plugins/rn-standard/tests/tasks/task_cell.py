@@ -7,8 +7,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
-from rn_standard.tasks.runner import PolicyState
 from rn_standard.tasks.snapshot import Snapshot
+from rn_standard.tasks.task_robot import PolicyState
 from roboneuron.errors import NotReadyError
 from roboneuron.server.tool import Picture
 

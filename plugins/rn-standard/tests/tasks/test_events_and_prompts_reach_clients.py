@@ -8,6 +8,7 @@ import json
 import math
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -15,6 +16,7 @@ import anyio
 import pytest
 from mcp import Client, types
 from mcp.shared.exceptions import MCPError
+from pydantic import BaseModel, Field
 
 from rn_standard.direct_path.plugin import FEATURE as DIRECT_PATH
 from rn_standard.ops.plugin import CLIENTS
@@ -26,7 +28,7 @@ from rn_standard.tasks.plugin import FEATURE, MONITORS
 from rn_standard.tasks.prompts import PROMPTS, filled
 from rn_testing.fakes import fake_registry
 from roboneuron.config import parse_config
-from roboneuron.errors import InvalidInputError
+from roboneuron.errors import InvalidInputError, RoboNeuronError
 from roboneuron.plugins.specs import PLUGIN_KINDS
 from roboneuron.server.app import Application
 
@@ -55,11 +57,31 @@ FIELD = {
 }
 
 
+class ReaderOptions(BaseModel):
+    weights_file: str = Field(default="", description="a file")
+    least: float = Field(default=0.1, description="a number")
+
+
+class Reader:
+    """A monitor with a file."""
+
+    def __init__(self, config: ReaderOptions | None) -> None:
+        pass
+
+
+READER = MonitorSpec(
+    name="reader",
+    summary="For tests.",
+    target=f"{__name__}:Reader",
+    config=f"{__name__}:ReaderOptions",
+)
+
+
 @pytest.fixture(scope="module")
 def application(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Application]:
     """The fakes and this feature; nothing may be spawned."""
     registry = replace(
-        fake_registry(SELECTION, FEATURE, CLIENTS, DIRECT_PATH, *MONITORS),
+        fake_registry(SELECTION, FEATURE, CLIENTS, DIRECT_PATH, *MONITORS, READER),
         kinds={**PLUGIN_KINDS, MonitorSpec.kind: MonitorSpec},
     )
     made = Application(
@@ -109,10 +131,45 @@ def test_a_fault_becomes_an_event_that_subscribers_hear_of(application: Applicat
     assert [(event["module"], event["what"]) for event in read["events"]] == [("robot", "memory")]
 
 
+def test_an_agent_cannot_choose_a_monitor_of_the_configuration(application: Application) -> None:
+    until = {"kind": "monitor", "name": "http-judge", "options": {"url": "http://example.org/"}}
+    result = call(application, "run_task", {"instruction": "go", "until": until})
+    assert result.is_error
+    assert "http-judge' is not for predicates" in text_of(result)
+    assert "[tasks.monitor]" in text_of(result)
+
+
+def test_an_agent_cannot_point_a_monitor_at_a_file(application: Application) -> None:
+    until = {"kind": "monitor", "name": "reader", "options": {"weights_file": "/etc/passwd"}}
+    result = call(application, "run_task", {"instruction": "go", "until": until})
+    assert result.is_error
+    assert "Only the configuration may set weights_file of monitor 'reader'" in text_of(result)
+    until["options"] = {"least": 0.5}
+    # refused by what comes later: nothing runs
+    assert "Only the configuration" not in text_of(
+        call(application, "run_task", {"instruction": "go", "until": until})
+    )
+
+
+def test_a_monitor_that_is_not_installed_is_a_mistake_of_the_configuration(
+    tmp_path: Path,
+) -> None:
+    registry = replace(
+        fake_registry(SELECTION, FEATURE, CLIENTS, DIRECT_PATH, *MONITORS),
+        kinds={**PLUGIN_KINDS, MonitorSpec.kind: MonitorSpec},
+    )
+    config = parse_config(
+        '[robot]\nname = "gantry"\n[tasks.monitor]\nname = "oracle"\n', registry=registry
+    )
+    with pytest.raises(RoboNeuronError, match="oracle"):
+        Application(config, plugins=lambda: registry, directory=tmp_path).close()
+
+
 def test_all_kinds_of_events_and_the_predicates_are_resources(application: Application) -> None:
     uris = {resource.uri for resource in application.resources.values()}
     assert {
-        f"roboneuron://events/{kind}" for kind in ("incidents", "tasks", "battery", "thresholds")
+        f"roboneuron://events/{kind}"
+        for kind in ("incidents", "tasks", "monitors", "battery", "thresholds")
     } <= uris
     predicates = json.loads(application.resources["roboneuron://tasks/predicates"].read())
     assert "colour-lifted" in predicates["monitors"]

@@ -90,6 +90,16 @@ class IsNan(Good):
         return replace(score, value=float("nan"))
 
 
+class HasNoProgress(Good):
+    def change(self, score):
+        return replace(score, progress=float("nan"))
+
+
+class FailsTwice(Good):
+    def change(self, score):
+        return replace(score, failure=2.0)
+
+
 class SaysNothing(Good):
     def change(self, score):
         return replace(score, reason="")
@@ -178,6 +188,8 @@ MUTANTS: list[tuple[str, type, dict[str, object]]] = [
     ("blind-start-is-no-error", NeedsImages, {}),
     ("score-has-its-form", InPercent, {}),
     ("score-has-its-form", IsNan, {}),
+    ("score-has-its-form", HasNoProgress, {}),
+    ("score-has-its-form", FailsTwice, {}),
     ("score-has-its-form", SaysNothing, {}),
     ("score-has-its-form", SaysTooMuch, {}),
     ("score-has-its-form", IsAnumber, {}),

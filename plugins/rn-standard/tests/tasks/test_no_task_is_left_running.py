@@ -9,12 +9,17 @@ import threading
 from typing import Any
 
 import pytest
+from monitors import Told, frame
 from task_cell import FakeCell
 
 from rn_standard.tasks.arbiter import TaskArbiter
 from rn_standard.tasks.judging import PredicateJudge
+from rn_standard.tasks.monitor import Score
+from rn_standard.tasks.options import TaskMonitorOptions
 from rn_standard.tasks.predicates import parse_predicate
 from rn_standard.tasks.runner import Outcome, Task, TaskPlan
+from rn_standard.tasks.task_watch import TaskWatch
+from roboneuron import Observation
 from roboneuron.errors import RefusedError, RoboNeuronError, StateError
 from roboneuron.server.tool import Tool
 
@@ -54,7 +59,12 @@ class Robot:
             cell.failure = "gave up" if self.random.random() < 0.1 else ""
             height = heights[min(cell.began, 2)] if t > 0.5 and cell.began else 0.0
             joints = None if self.random.random() < 0.05 else {"lift": height}
-            return {"joints": joints, "policy_done": self.random.random() < 0.1}
+            picture = frame(round(cell.time_s * 10), cell.time_s)
+            return {
+                "joints": joints,
+                "policy_done": self.random.random() < 0.1,
+                "frames": {"primary": picture} if self.random.random() < 0.9 else {},
+            }
 
         def on_wait(cell: FakeCell) -> None:
             assert not any(c.moving for c in self.cells if c is not cell), "two arms move"
@@ -69,9 +79,24 @@ class Robot:
                 judge = PredicateJudge(
                     UNTIL, "try", lambda named: pytest.fail("no monitor is named")
                 )
-                self.outcomes.append(Task(cell, judge, PLAN, lambda text: None).run().outcome)
+                task = Task(cell, judge, PLAN, lambda text: None, self.watch())
+                self.outcomes.append(task.run().outcome)
         except (RoboNeuronError, RuntimeError) as error:
             self.outcomes.append(type(error).__name__)
+
+    def watch(self) -> TaskWatch | None:
+        """Nothing, or a monitor that says anything, with any say."""
+        if self.random.random() < 0.5:
+            return None
+        acts = [act for act in ("end", "fail", "confirm") if self.random.random() < 0.5]
+        options = TaskMonitorOptions.model_validate({"name": "any", "acts": acts})
+        return TaskWatch(Told(self.told), options, "try", lambda facts: None)
+
+    def told(self, seen: Observation) -> Score | str:
+        if self.random.random() < 0.1:
+            return "it has failed"
+        value, failure = self.random.choice([(0.99, 0.0), (0.5, 0.1), (0.01, 0.1), (0.01, 0.99)])
+        return Score(value=value, reason="it seems so", failure=failure)
 
     def disturb(self, cell: FakeCell, halt: threading.Event) -> None:
         """What other clients, and this one, may do meanwhile."""

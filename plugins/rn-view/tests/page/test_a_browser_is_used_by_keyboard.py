@@ -9,10 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from test_a_browser_keeps_alarms import Switch
-from test_a_browser_shows_the_stop_first import UNLABELLED
-from test_recordings_are_labelled_in_the_page import CONTRAST, LEAST
-from view_fakes import FakeSource
+from view_fakes import FakeSource, MaintenanceSwitch
+from view_page import LEAST_CONTRAST, TEXT_CONTRAST, UNLABELLED
 
 from rn_standard.tasks.history import TaskHistory
 from rn_view.diagnostics.alarms import AlarmBook
@@ -47,7 +45,7 @@ def test_everything_can_be_read_and_reached(
     for is_warning in (False, True):
         book.add("control", f"limit {is_warning}", "a cause", "do it", is_warning=is_warning)
     book.acknowledge(book.add("robot", "exited", "gone", "start it").number, "ann", "operator")
-    history, switch = TaskHistory(tmp_path), Switch()
+    history, switch = TaskHistory(tmp_path), MaintenanceSwitch()
     for outcome in ("succeeded", "failed", "stopped"):
         history.note("lift", outcome, "why", took_s=1.0)
     source.records = RobotRecords(alarms=book, maintenance=switch, tasks=PastTasks(tmp_path))
@@ -57,13 +55,13 @@ def test_everything_can_be_read_and_reached(
     for name in ("alarms", "tasks", "service"):
         page.locator(f"#rn-{name}-open").click()
         page.locator("#rn-records-body :is(p, li, form)").first.wait_for()
-        assert page.evaluate(CONTRAST, "rn-records") >= LEAST
+        assert page.evaluate(TEXT_CONTRAST, "rn-records") >= LEAST_CONTRAST
         assert page.evaluate(UNLABELLED) == []
     switch.begin("ann", "admin", "cable")
     page.locator("#rn-service-open.out").wait_for()
     page.get_by_role("button", name="Put the robot back in service").wait_for()
     for part in ("rn-bar", "rn-strip", "rn-records"):
-        assert page.evaluate(CONTRAST, part) >= LEAST
+        assert page.evaluate(TEXT_CONTRAST, part) >= LEAST_CONTRAST
     assert page.locator("#rn-state").get_attribute("aria-live") == "assertive"
 
     page.locator("#rn-lead-open").wait_for()

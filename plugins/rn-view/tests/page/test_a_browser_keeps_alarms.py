@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from view_fakes import FakeSource
+from view_fakes import FakeSource, MaintenanceSwitch
 from view_page import wait_until
 
 from rn_standard.tasks.history import TaskHistory
@@ -34,24 +34,13 @@ FREE = """one => {
 """Whether an element is within the page and nothing covers it."""
 
 
-class Switch:
-    """A maintenance mode without a robot."""
-
-    state: str | None = None
-
-    def begin(self, who: str, role: str, reason: str) -> str:
-        self.state = f"{who} took the robot out of service: {reason}"
-        return self.state
-
-    def end(self, who: str, role: str) -> None:
-        self.state = None
-
-
 @pytest.fixture
 def book(source: FakeSource, tmp_path: Path) -> AlarmBook:
     """The alarms of the page's robot."""
     book = AlarmBook(tmp_path, AuditLog.in_directory(tmp_path))
-    source.records = RobotRecords(alarms=book, maintenance=Switch(), tasks=PastTasks(tmp_path))
+    source.records = RobotRecords(
+        alarms=book, maintenance=MaintenanceSwitch(), tasks=PastTasks(tmp_path)
+    )
     return book
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 from view_fakes import FakeOperator, FakeSource, admission
-from view_page import wait_until
+from view_page import UNLABELLED, wait_until
 
 from rn_view.options import ViewOptions
 from rn_view.web.view_server import ViewServer
@@ -20,13 +20,6 @@ pytestmark = [
     pytest.mark.filterwarnings("default:Queued a:UserWarning"),
 ]
 SIZES = ((1440, 860), (768, 1024), (390, 844))
-UNLABELLED = """() => {
-  const named = one => one.getAttribute('aria-label') || one.innerText.trim() || one.title ||
-    [...(one.labels || [])].map(label => label.innerText).join('') ||
-    (one.getAttribute('aria-labelledby') || '').split(' ').map(id => document.getElementById(id)?.innerText).join('');
-  return [...document.querySelectorAll('button, input, select, textarea, a[href], [role=button], [role=slider]')]
-    .filter(one => one.getClientRects().length && !named(one)).map(one => one.outerHTML);
-}"""  # noqa: E501
 CONTRAST = """button => {
   const light = text => {
     const [red, green, blue] = text.match(/[\\d.]+/g).slice(0, 3).map(value => value / 255)

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 from view_fakes import FakeOperator
-from view_page import wait_until
+from view_page import LEAST_CONTRAST, TEXT_CONTRAST, wait_until
 
 pytestmark = [
     pytest.mark.slow,
@@ -48,28 +48,6 @@ RUNS = [
         "note": "<b>dropped</b> it",
     },
 ]
-CONTRAST = """id => {
-  const light = text => {
-    const parts = text.match(/[\\d.]+/g).slice(0, 3).map(v => v / 255);
-    const [r, g, b] = parts.map(v => v <= .03928 ? v / 12.92 : ((v + .055) / 1.055) ** 2.4);
-    return .2126 * r + .7152 * g + .0722 * b;
-  };
-  const behind = one => {
-    for (let at = one; at; at = at.parentElement) {
-      const colour = getComputedStyle(at).backgroundColor;
-      if (!/^rgba\\(.*, 0\\)$/.test(colour)) return colour;
-    }
-    return "rgb(255, 255, 255)";
-  };
-  const says = one => !one.disabled && one.checkVisibility() &&
-    [...one.childNodes].some(part => part.nodeType === 3 && part.data.trim());
-  return Math.min(...[...document.querySelectorAll(`#${id} *`)].filter(says).map(one => {
-    const [a, b] = [light(getComputedStyle(one).color), light(behind(one))];
-    return (Math.max(a, b) + .05) / (Math.min(a, b) + .05);
-  }));
-}"""
-"""Least contrast of a text within an element. Source: WCAG 2.2, relative luminance."""
-LEAST = 4.5
 
 
 @pytest.fixture
@@ -161,7 +139,7 @@ def test_both_panels_can_be_read_by_day_and_night(
     for box, closer in (("rn-label-box", "rn-label-close"), ("rn-lead-box", "rn-lead-close")):
         shown = page.locator(f"#{box}")
         shown.wait_for(state="visible")
-        assert LEAST <= page.evaluate(CONTRAST, box) < 22
+        assert LEAST_CONTRAST <= page.evaluate(TEXT_CONTRAST, box) < 22
         place = shown.bounding_box()
         assert place["x"] >= 0
         assert place["x"] + place["width"] <= size[0]

@@ -9,8 +9,9 @@ from collections.abc import Mapping
 from rn_standard.preview.arm import TwinArm
 from rn_standard.preview.twin_process import TwinProcess
 from rn_standard.tasks.judging import PredicateJudge
-from rn_standard.tasks.runner import PolicyState, Task, TaskEnd, TaskPlan
+from rn_standard.tasks.runner import Task, TaskEnd, TaskPlan
 from rn_standard.tasks.snapshot import Snapshot, StillClock
+from rn_standard.tasks.task_robot import PolicyState
 from roboneuron import (
     EE_DELTA,
     BackendSpec,

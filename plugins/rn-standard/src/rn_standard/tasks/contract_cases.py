@@ -49,15 +49,16 @@ class MonitorCase(Case[MonitorSpec]):
 
     Attributes:
         before: observation at the start of an attempt; two balls on a table if None.
-        achieved: observation in which its condition is true.
-        missed: observation in which it is false.
+        achieved: observation in which its condition is true, or several in the order of time, of
+            which the last counts.
+        missed: the same for one in which it is false.
     """
 
     subject: ClassVar[str] = "monitor"
 
     before: Observation | None = None
-    achieved: Observation | None = None
-    missed: Observation | None = None
+    achieved: Observation | tuple[Observation, ...] | None = None
+    missed: Observation | tuple[Observation, ...] | None = None
 
     def build(self) -> Monitor:
         """Create a new monitor."""
@@ -75,9 +76,15 @@ class MonitorCase(Case[MonitorSpec]):
             raise NotApplicable("the case shows no observations")
         monitor = monitor or self.build()
         monitor.reset(self.start())
-        achieved = monitor.score(self.achieved)
+        achieved = last_score(monitor, self.achieved)
         monitor.reset(self.start())
-        return achieved, monitor.score(self.missed)
+        return achieved, last_score(monitor, self.missed)
+
+
+def last_score(monitor: Monitor, seen: Observation | tuple[Observation, ...]) -> Score:
+    """The score of the last of some observations, after those before."""
+    scores = [monitor.score(each) for each in ((seen,) if isinstance(seen, Observation) else seen)]
+    return scores[-1]
 
 
 def _check_achieved(case: MonitorCase) -> None:
@@ -103,8 +110,8 @@ def _check_undone(case: MonitorCase) -> None:
     assert case.missed is not None
     monitor = case.build()
     monitor.reset(case.start())
-    monitor.score(case.achieved)
-    score = monitor.score(case.missed)
+    last_score(monitor, case.achieved)
+    score = last_score(monitor, case.missed)
     undone = score.value is None or score.value < _SURE
     require(undone, f"what had come about and is undone scores {score.value} ({score.reason})")
 
@@ -133,17 +140,19 @@ def _all_scores(case: MonitorCase) -> list[Score]:
     for seen in (case.start(), case.achieved, case.missed, _blind(case.start())):
         if seen is not None:
             monitor.reset(case.start())
-            found.append(monitor.score(seen))
+            found.append(last_score(monitor, seen))
     return found
 
 
 def _check_form(case: MonitorCase) -> None:
     for score in _all_scores(case):
         require(isinstance(score, Score), f"returned {score!r}, expected a Score")
-        require(
-            score.value is None or 0.0 <= score.value <= 1.0,
-            f"scored {score.value}, expected 0 .. 1 or None",
-        )
+        for name in ("value", "progress", "failure"):
+            told = getattr(score, name)
+            require(
+                told is None or 0.0 <= told <= 1.0,
+                f"its {name} is {told}, expected 0 .. 1 or None",
+            )
         reason = score.reason
         require(bool(reason) and not reason.endswith("."), f"the reason is {reason!r}")
         is_short = len(reason) <= LONGEST_REASON and "\n" not in reason
@@ -176,7 +185,8 @@ def _check_input_kept(case: MonitorCase) -> None:
 def _check_quick(case: MonitorCase) -> None:
     monitor, start = case.build(), case.start()
     monitor.reset(start)
-    check_quick(SCORE_LIMIT_S, lambda: monitor.score(start), "score", tries=7)
+    limit_s = max(case.spec.limit_s, SCORE_LIMIT_S)
+    check_quick(limit_s, lambda: monitor.score(start), "score", tries=7)
 
 
 def _check_process(case: MonitorCase) -> None:
@@ -190,7 +200,7 @@ def _check_options(case: MonitorCase) -> None:
         for seen in (case.start(), case.achieved, case.missed):
             if seen is not None:
                 monitor.reset(case.start())
-                monitor.score(seen)
+                last_score(monitor, seen)
 
     check_options_read(case, use)
 
@@ -209,7 +219,11 @@ _OWN: tuple[Rule[MonitorCase], ...] = tuple(
         ("options-read", OPTIONS_READ, _check_options),
         ("process-left-alone", ALONE, _check_process),
         ("input-kept", "It writes into no part of an observation.", _check_input_kept),
-        ("score-quick", "One observation is judged within 50 ms.", _check_quick),
+        (
+            "score-quick",
+            "One observation is judged within `limit_s`, 50 ms by default.",
+            _check_quick,
+        ),
         (
             "undone-is-not-achieved",
             "What had come about and is undone does not score 0.9.",
@@ -225,7 +239,7 @@ _OWN: tuple[Rule[MonitorCase], ...] = tuple(
         ("blind-start-is-no-error", "A task may begin without images.", _check_never_reset),
         (
             "score-has-its-form",
-            "Scores are 0 .. 1 or None, each with a short reason without full stop.",
+            "Its numbers are 0 .. 1 or None, each with a short reason without full stop.",
             _check_form,
         ),
         ("repeatable", "The same observations give the same scores.", _check_repeatable),
@@ -335,5 +349,17 @@ def changed_case() -> MonitorCase:
     )
 
 
-CASES: tuple[Callable[[], MonitorCase], ...] = (lifted_case, region_case, changed_case)
+def http_case() -> MonitorCase:
+    """An endpoint that nobody serves: it cannot judge, which is no error."""
+    spec = next(spec for spec in MONITORS if spec.name == "http-judge")
+    options = {"url": "http://127.0.0.1:9/", "timeout_s": 1.0, "side_px": 64}
+    return MonitorCase(spec=spec, options=options)
+
+
+CASES: tuple[Callable[[], MonitorCase], ...] = (
+    lifted_case,
+    region_case,
+    changed_case,
+    http_case,
+)
 """Cases of this package's monitors."""

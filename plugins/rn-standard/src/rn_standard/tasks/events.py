@@ -26,12 +26,13 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 URI = "roboneuron://events/"
 INCIDENTS, TASKS, BATTERY, THRESHOLDS = "incidents", "tasks", "battery", "thresholds"
-LEADS = "leads"
+LEADS, MONITORS = "leads", "monitors"
 KINDS: Mapping[str, str] = {
     INCIDENTS: "New incidents: a module that fails, stalls, falls silent or ends; restarts; "
     "lapsed leases.",
     TASKS: "Tasks of run_task that have ended, with their outcomes.",
     LEADS: "A person took the arm over, handed it back, or was lost.",
+    MONITORS: "The monitor that watches tasks contradicts a predicate for a second.",
     BATTERY: "A battery that became low, or is charged again.",
     THRESHOLDS: "Crossings of the thresholds in [events.thresholds] of the configuration.",
 }

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Sequence
+from dataclasses import asdict
 from typing import TypedDict
 
 import numpy as np
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from rn_standard.selection.options import named_models
 from rn_standard.tasks.approval import Approval
 from rn_standard.tasks.arbiter import TaskArbiter
-from rn_standard.tasks.events import LEADS, TASKS, EventLog, Watching, check_thresholds
+from rn_standard.tasks.events import LEADS, MONITORS, TASKS, EventLog, Watching, check_thresholds
 from rn_standard.tasks.examples import EXAMPLES
 from rn_standard.tasks.history import TaskHistory
 from rn_standard.tasks.hooks import MonitorSpec
@@ -90,6 +91,7 @@ class TasksFeature(Feature[TasksSections]):
             places.choices,
             self._note_end,
             self._note_failure,
+            lambda facts: self._events.add(MONITORS, **facts),
         )
         return [
             start_all_tool(host),
@@ -149,6 +151,7 @@ class TasksFeature(Feature[TasksSections]):
             attempts=end.attempts,
             reason=end.reason,
             took_s=round(end.took_s, 3),
+            **({} if end.monitor is None else {"monitor": asdict(end.monitor)}),
         )
         self._history.note(
             instruction,

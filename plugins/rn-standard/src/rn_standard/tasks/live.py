@@ -10,8 +10,8 @@ from dataclasses import replace
 
 from rn_standard.selection.requests import StartChosenInference
 from rn_standard.tasks.inputs import Inputs, pose_of, pose_topic
-from rn_standard.tasks.runner import PolicyState
 from rn_standard.tasks.snapshot import ArmSnapshot, Snapshot, StillClock
+from rn_standard.tasks.task_robot import PolicyState
 from rn_standard.teleoperation.feature import TELEOPERATION, Teleoperation
 from roboneuron import (
     Frame,

@@ -13,12 +13,18 @@ class Score:
     """Result of a monitor for one observation.
 
     Attributes:
-        value: 0 certainly not .. 1 certainly; None if it cannot be decided.
+        value: 0 certainly not .. 1 certainly; None if it cannot be decided. Of a monitor that
+            watches a task: the probability that the instruction is carried out.
         reason: one sentence, without its full stop; never empty.
+        progress: share of the task that is done, 0 .. 1; None if not estimated.
+        failure: probability that this attempt has failed (dropped, wrong object, empty hand), 0 ..
+            1; None if not estimated.
     """
 
     value: float | None
     reason: str
+    progress: float | None = None
+    failure: float | None = None
 
 
 class Monitor(Protocol):
@@ -37,7 +43,11 @@ class Monitor(Protocol):
         ...
 
     def score(self, observation: Observation) -> Score:
-        """Score one observation, in at most 50 ms."""
+        """Score one observation, within `limit_s` of its descriptor.
+
+        The observation has the instruction, the newest image of each camera with its time, and the
+        measured TCP pose and opening.
+        """
         ...
 
 

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -17,6 +17,35 @@ RoleName = Annotated[str, Field(pattern=f"^({'|'.join(Role)})$")]
 
 class _Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+
+class TaskMonitorOptions(_Section):
+    """`[tasks.monitor]`: a monitor that watches every task beside its predicate."""
+
+    name: str = Field(
+        default="", description="installed monitor, such as cubes-success; none when empty"
+    )
+    options: dict[str, object] = Field(
+        default_factory=dict, description="of that monitor: roboneuron plugins show"
+    )
+    at_least: Annotated[float, Field(gt=0.5, le=1)] = Field(
+        default=0.9, description="probability from which its word counts"
+    )
+    period_s: Annotated[float, Field(ge=0.05, le=60)] = Field(
+        default=0.2,
+        description="time between two questions; a busy monitor is asked less often [s]",
+    )
+    wait_s: Annotated[float, Field(ge=0, le=30)] = Field(
+        default=1.0,
+        description="how long a task's end waits, with the arm at rest, for an unsure monitor [s]",
+    )
+    acts: tuple[Literal["end", "fail", "confirm"], ...] = Field(
+        default=(),
+        strict=False,
+        description="empty: it only reports. end: its success counts where the predicate cannot "
+        "judge; fail: its failure ends the task; confirm: a predicate that it does not confirm is "
+        "unclear",
+    )
 
 
 class TaskOptions(_Section):
@@ -52,6 +81,9 @@ class TaskOptions(_Section):
     )
     approval_roles: tuple[RoleName, ...] = Field(
         default=("operator",), strict=False, description="roles whose calls need that approval"
+    )
+    monitor: TaskMonitorOptions = Field(
+        default=TaskMonitorOptions(), description="what watches tasks beside their predicates"
     )
 
 

@@ -60,6 +60,17 @@ MONITORS = (
         "changed_case",
         optional=(),
     ),
+    MonitorSpec(
+        name="http-judge",
+        summary="A larger model behind an HTTP endpoint judges the pictures and the instruction.",
+        target="rn_standard.tasks.http_judge:HttpJudge",
+        config="rn_standard.tasks.http_judge:HttpJudgeOptions",
+        cameras=("primary",),
+        optional_cameras=("wrist",),
+        limit_s=5.0,
+        in_predicates=False,
+        case="rn_standard.tasks.contract_cases:http_case",
+    ),
 )
 """Descriptors of the monitors."""
 

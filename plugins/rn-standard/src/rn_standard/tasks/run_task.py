@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import threading
 from collections.abc import Awaitable, Callable, Iterable, Mapping
-from typing import Literal, cast
+from typing import cast
 
 from pydantic import Field
 
@@ -13,9 +13,11 @@ from rn_standard.direct_path import truth
 from rn_standard.direct_path.exposed import check_no_preview
 from rn_standard.direct_path.fields import check_path, load_type
 from rn_standard.inference.instruction_text import InstructionText
+from rn_standard.selection.restricted import restricted_values
 from rn_standard.stepped.clock import is_stepped
 from rn_standard.tasks.approval import Approval
 from rn_standard.tasks.arbiter import TaskArbiter
+from rn_standard.tasks.guarded import SLOW_S, AskedMonitor
 from rn_standard.tasks.hooks import MonitorSpec
 from rn_standard.tasks.judging import MonitorFor, PredicateJudge
 from rn_standard.tasks.live import LiveCell
@@ -32,8 +34,9 @@ from rn_standard.tasks.predicates import (
     parse_predicate,
 )
 from rn_standard.tasks.runner import Outcome, Task, TaskEnd, TaskPlan
-from rn_standard.tasks.snapshot import ArmSnapshot, Snapshot
 from rn_standard.tasks.stepped import SteppedCell
+from rn_standard.tasks.task_result import TaskResult, task_result
+from rn_standard.tasks.task_watch import Notify, TaskWatch, WatchMaker
 from roboneuron import (
     Arguments,
     CallContext,
@@ -43,13 +46,12 @@ from roboneuron import (
     NotReadyError,
     RefusedError,
     Reply,
-    Result,
     RoboNeuronError,
     RobotProfile,
     StateError,
     Tool,
 )
-from roboneuron.feature import Stage, build, check_topic
+from roboneuron.feature import Stage, build, check_topic, loading
 
 HOLD, STOP = "hold", "stop"
 """Actions at the end of a task, in addition to the names of postures and places."""
@@ -80,44 +82,6 @@ class RunTask(Arguments):
     preview: bool = Field(default=False, description="Simulate only.")
 
 
-class FinalArm(Result):
-    """Final state of one arm, the first of several; unmeasured values are null."""
-
-    tcp_position_m: list[float] | None = Field(default=None, description="base frame")
-    tcp_quaternion_xyzw: list[float] | None = None
-    gripper_open: float | None = Field(default=None, description="0 closed .. 1 open")
-
-
-class FinalState(FinalArm):
-    """Measured state at the end; unmeasured values are null."""
-
-    joints: dict[str, float] | None = Field(default=None, description="rad or m")
-    arms: dict[str, FinalArm] = Field(default_factory=dict, description="of several, by name")
-    still_s: float | None = Field(default=None, description="time since a joint last moved")
-
-
-class TaskResult(Result):
-    """Result of a task; images from before and after accompany it, in this order."""
-
-    outcome: Literal["succeeded", "failed", "timed_out", "stopped", "unclear", "taken_over"] = (
-        Field(
-            description="succeeded: the predicate was true, also with the arm at rest; failed: no "
-            "attempt succeeded; timed_out: the last one ran out of time; stopped: by someone; "
-            "unclear: it cannot be "
-            "judged, see the images"
-        )
-    )
-    attempts: int = Field(description="0: it was done before anything moved")
-    reason: str
-    images_before: int = Field(description="number of images from before, which come first")
-    images_after: int
-    state: FinalState
-    ended_with: str = Field(
-        description="what was done at the end: on_end, or why that was not possible"
-    )
-    took_s: float
-
-
 class TaskTool:
     """The handler of run_task."""
 
@@ -131,6 +95,7 @@ class TaskTool:
         names: Callable[[], Iterable[str]],
         ended: Callable[[str, TaskEnd], object],
         failed: Callable[[str, RoboNeuronError], object],
+        contrary: Notify,
     ) -> None:
         """Args:
         host, options, arbiter, approval: those of the feature.
@@ -138,6 +103,7 @@ class TaskTool:
         names: returns the names known to `move_to`.
         ended: called at every task's end, with its instruction.
         failed: called for a task that could not be executed.
+        contrary: called when the configured monitor contradicts a predicate.
         """
         self._host = host
         self._options = options
@@ -148,6 +114,16 @@ class TaskTool:
         self._ended = ended
         self._failed = failed
         self._monitors: dict[str, Monitor] = {}
+        self._watches: WatchMaker | None = None
+        if watching := options.monitor.name:
+            # an unknown name is a mistake of the configuration, found before anything is served
+            spec = host.registry.get(MonitorSpec, watching)
+            self._watches = WatchMaker(
+                lambda: cast("Monitor", build(spec, options.monitor.options)),
+                options.monitor,
+                spec.limit_s,
+                contrary,
+            )
 
     def is_offered(self) -> bool:
         """True if any policy could move the present robot."""
@@ -185,11 +161,14 @@ class TaskTool:
             cell = kind(self._host, profile, context.role, stage, halt, why, topics, cameras)
             holder.append(cell)
             with self._arbiter.claim(f"{instruction!r} of {context.who}", halt):
+                watch = self._watch(instruction)
                 try:
                     cell.open()
-                    end = Task(cell, judge, plan, stage).run()
+                    end = Task(cell, judge, plan, stage, watch).run()
                 finally:
                     cell.close()
+                    if watch is not None:
+                        watch.close()
             self._ended(instruction, end)
             return end
 
@@ -204,7 +183,7 @@ class TaskTool:
             self._failed(instruction, error)
             raise
         ended_with = await self._finish(arguments.on_end, end, context)
-        return Reply(result=_result(end, ended_with), pictures=(*end.before, *end.after))
+        return Reply(result=task_result(end, ended_with), pictures=(*end.before, *end.after))
 
     async def _finish(self, on_end: str, end: TaskEnd, context: CallContext) -> str:
         """Perform the action at the end; its failure does not change the outcome."""
@@ -245,7 +224,27 @@ class TaskTool:
 
     def _new_monitor(self, predicate: MonitorSays) -> Monitor:
         spec = self._host.registry.get(MonitorSpec, predicate.name)
+        if not spec.in_predicates:
+            raise RefusedError(
+                f"Monitor {predicate.name!r} is not for predicates.",
+                hint="Only [tasks.monitor] of the configuration may choose it.",
+                rule="configuration",
+            )
+        _check_may_set(spec, predicate.options)
+        if spec.limit_s > SLOW_S:
+            return AskedMonitor(
+                lambda: cast("Monitor", build(spec, predicate.options)), spec.limit_s
+            )
         return cast("Monitor", build(spec, predicate.options))
+
+    def _watch(self, instruction: str) -> TaskWatch | None:
+        if self._watches is None:
+            return None
+        spec = self._host.registry.get(MonitorSpec, self._options.monitor.name)
+        roles = self._host.loop.camera_roles().values()
+        missing = [role for role in spec.cameras if role not in roles]
+        why = f"there is no camera of role {missing[0]!r}" if missing else ""
+        return self._watches.watch(instruction, why)
 
     def _remembered_monitor(self, predicate: MonitorSays) -> Monitor:
         spec = self._host.registry.get(MonitorSpec, predicate.name)
@@ -262,6 +261,9 @@ class TaskTool:
         """Cameras of the monitors, and those of the evidence."""
         roles = self._host.loop.camera_roles()
         names = list(self._options.evidence_cameras or list(roles)[:_EVIDENCE])
+        if watching := self._options.monitor.name:
+            spec = self._host.registry.get(MonitorSpec, watching)
+            names += _of_roles(roles, (*spec.cameras, *spec.optional_cameras), names)
         for part in [] if predicate is None else flat(predicate):
             if isinstance(part, MonitorSays):
                 spec = self._host.registry.get(MonitorSpec, part.name)
@@ -271,11 +273,30 @@ class TaskTool:
                         f"Monitor {part.name!r} needs a camera of role {absent[0]!r}; there is "
                         "none."
                     )
-                wanted = (*spec.cameras, *spec.optional_cameras)
-                names += [
-                    name for name, role in roles.items() if role in wanted and name not in names
-                ]
+                names += _of_roles(roles, (*spec.cameras, *spec.optional_cameras), names)
         return names
+
+
+def _check_may_set(spec: MonitorSpec, options: Mapping[str, object]) -> None:
+    """Refuse options that only the configuration may set: files, hosts, secrets.
+
+    Raises:
+        RefusedError: names the options.
+    """
+    if spec.config is None:
+        return
+    barred = sorted(restricted_values(loading.load_options_model(spec), options))
+    if barred:
+        raise RefusedError(
+            f"Only the configuration may set {', '.join(barred)} of monitor {spec.name!r}.",
+            hint="A person can name the monitor in [tasks.monitor], with these options.",
+            rule="configuration",
+        )
+
+
+def _of_roles(roles: Mapping[str, str], wanted: Iterable[str], known: list[str]) -> list[str]:
+    """Names of cameras with these roles that are not yet known."""
+    return [name for name, role in roles.items() if role in wanted and name not in known]
 
 
 def judge_of(
@@ -337,41 +358,6 @@ def _check_field(part: FieldIs) -> None:
         check_path(load_type(part.type), part.field)
     except (ConfigurationError, InvalidInputError) as error:
         raise InvalidInputError(f"until: {error.message}", hint=error.hint, path="until") from error
-
-
-def _result(end: TaskEnd, ended_with: str) -> TaskResult:
-    return TaskResult(
-        outcome=end.outcome.value,
-        attempts=end.attempts,
-        reason=f"{end.reason}.",
-        images_before=len(end.before),
-        images_after=len(end.after),
-        state=_state(end.state),
-        ended_with=ended_with,
-        took_s=round(end.took_s, 3),
-    )
-
-
-def _arm_state(arm: ArmSnapshot) -> FinalArm:
-    tcp, opening = arm.tcp, arm.gripper_open
-    return FinalArm(
-        tcp_position_m=None if tcp is None else [round(float(v), 4) for v in tcp.position_m],
-        tcp_quaternion_xyzw=None
-        if tcp is None
-        else [round(float(v), 4) for v in tcp.quaternion_xyzw],
-        gripper_open=None if opening is None else round(opening, 3),
-    )
-
-
-def _state(snapshot: Snapshot) -> FinalState:
-    return FinalState(
-        **_arm_state(snapshot.of_arm("")).model_dump(),
-        arms={name: _arm_state(arm) for name, arm in snapshot.arms.items()},
-        joints=None
-        if snapshot.joints is None
-        else {name: round(v, 4) for name, v in snapshot.joints.items()},
-        still_s=None if snapshot.still_s is None else round(snapshot.still_s, 2),
-    )
 
 
 def run_task_tool(handler: TaskTool) -> Tool[RunTask]:

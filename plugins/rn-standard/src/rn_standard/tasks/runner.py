@@ -10,10 +10,11 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Protocol
 
 from rn_standard.tasks.judging import PredicateJudge, PredicateState
 from rn_standard.tasks.snapshot import Snapshot
+from rn_standard.tasks.task_robot import TaskRobot
+from rn_standard.tasks.task_watch import MonitorReport, TaskWatch
 from roboneuron import Picture, RoboNeuronError
 
 _CONFIRM_S = 1.5
@@ -39,60 +40,6 @@ class Outcome(StrEnum):
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class PolicyState:
-    """State of the policy that executes a task.
-
-    Attributes:
-        has_acted: it has published an action for this attempt.
-        failure: reason why it gave up; empty while it works.
-        taken: reason why it no longer works for this task (stopped, another instruction); empty
-            while it does.
-        led: name of the person who temporarily leads the arm by hand instead; empty for none.
-    """
-
-    has_acted: bool
-    failure: str = ""
-    taken: str = ""
-    led: str = ""
-
-
-class TaskRobot(Protocol):
-    """Interface of the robot for one task. Used from one thread."""
-
-    def now_s(self) -> float:
-        """Monotonic time [s]."""
-        ...
-
-    def wait(self, seconds: float) -> bool:
-        """Wait; returns at once with True if the task has to end."""
-        ...
-
-    def begin(self, instruction: str) -> None:
-        """Send the policy the instruction again; the robot may move from here on.
-
-        Raises:
-            RoboNeuronError: it cannot act.
-        """
-        ...
-
-    def policy(self) -> PolicyState:
-        """State of the policy."""
-        ...
-
-    def look(self) -> Snapshot:
-        """Present state of the robot."""
-        ...
-
-    def end(self) -> None:
-        """Stop the policy; the arm comes to rest. Never raises, and may be called twice."""
-        ...
-
-    def evidence(self) -> tuple[Picture, ...]:
-        """Present images of the cameras; empty without any."""
-        ...
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
 class TaskEnd:
     """End of a task.
 
@@ -104,6 +51,7 @@ class TaskEnd:
         took_s: total duration [s].
         stop_s: from the evaluation that found the predicate true until the policy was ended; None
             without success.
+        monitor: last word of the monitor that watched it; None without one.
     """
 
     outcome: Outcome
@@ -114,6 +62,7 @@ class TaskEnd:
     state: Snapshot
     took_s: float
     stop_s: float | None = None
+    monitor: MonitorReport | None = None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -168,6 +117,7 @@ class Task:
             success.
         plan: parameters of the task.
         tell: called with a phrase for each progress report.
+        watch: monitor beside the predicate; None without one.
     """
 
     def __init__(
@@ -176,11 +126,13 @@ class Task:
         judge: PredicateJudge | None,
         plan: TaskPlan,
         tell: Callable[[str], None],
+        watch: TaskWatch | None = None,
     ) -> None:
         self._cell = cell
         self._judge = judge
         self._plan = plan
         self._tell = tell
+        self._watch = watch
         self._attempt = 0
 
     def run(self) -> TaskEnd:
@@ -195,6 +147,7 @@ class Task:
             end = self._already() or self._attempts()
         finally:
             cell.end()
+        self._settle(end)
         self._tell(f"{end.outcome}: {end.reason}")
         return TaskEnd(
             outcome=end.outcome,
@@ -205,7 +158,20 @@ class Task:
             state=cell.look(),
             took_s=cell.now_s() - began_s,
             stop_s=end.stop_s,
+            monitor=None if self._watch is None else self._watch.report(),
         )
+
+    def _settle(self, end: _Attempt) -> None:
+        """Give the monitor a moment for its last word, with the arm at rest, for the report."""
+        if self._watch is None or end.outcome is Outcome.STOPPED or self._attempt == 0:
+            return
+        deadline_s = self._cell.now_s() + self._watch.wait_s
+        is_done = end.outcome is Outcome.SUCCEEDED
+        while True:
+            self._look(self._cell.look())
+            is_late = self._cell.now_s() >= deadline_s
+            if is_late or not self._watch.waits(is_done) or self._cell.wait(self._plan.period_s):
+                return
 
     def _already(self) -> _Attempt | None:
         """Detect that the predicate is true before any motion, for as long as it has to last; then
@@ -239,8 +205,11 @@ class Task:
                 return self._ended()
             self._attempt += 1
             self._say("begins")
+            snapshot = self._cell.look()
             if self._judge is not None:
-                self._judge.reset(self._cell.look())
+                self._judge.reset(snapshot)
+            if self._watch is not None:
+                self._watch.reset(snapshot)
             try:
                 self._cell.begin(plan.instruction)
             except RoboNeuronError as error:
@@ -249,13 +218,13 @@ class Task:
                 return _Attempt(
                     outcome=Outcome.STOPPED, reason=f"it could not begin again: {error}"
                 )
-            end = self._watch()
+            end = self._follow()
             self._cell.end()
             if not end.again or self._attempt >= plan.max_attempts:
                 return end
             self._say(f"failed: {end.reason}")
 
-    def _watch(self) -> _Attempt:
+    def _follow(self) -> _Attempt:
         """Evaluate repeatedly until the attempt is over."""
         cell, plan = self._cell, self._plan
         deadline_s = cell.now_s() + plan.max_s
@@ -276,6 +245,8 @@ class Task:
                 deadline_s += cell.now_s() - snapshot.now_s
                 done, failing = _Lasting(), _Lasting()
                 continue
+            if lost := self._lost():
+                return _Attempt(outcome=Outcome.FAILED, reason=lost)
             if failing.held_s(snapshot.now_s, bool(state.failure)) >= plan.give_up_s:
                 # nothing has moved, so the policy has not achieved it, even if it cannot be
                 # evaluated
@@ -287,7 +258,7 @@ class Task:
                     judgement, Outcome.FAILED, f"the policy gave up: {state.failure}"
                 )
             says_done = bool(snapshot.policy_done) and state.has_acted
-            patience_s = 0.0 if self._judge is None else plan.end_wait_s
+            patience_s = plan.end_wait_s if self._may_succeed() else 0.0
             if done.held_s(snapshot.now_s, says_done) >= patience_s:
                 return self._unfulfilled(
                     judgement, Outcome.FAILED, "the policy says that it has finished"
@@ -326,8 +297,18 @@ class Task:
 
     def _look(self, snapshot: Snapshot) -> PredicateState:
         if self._judge is None:
-            return PredicateState(value=None, reason="the call named no predicate")
-        return self._judge.look(snapshot)
+            judgement = PredicateState(value=None, reason="the call named no predicate")
+        else:
+            judgement = self._judge.look(snapshot)
+        return judgement if self._watch is None else self._watch.look(snapshot, judgement)
+
+    def _may_succeed(self) -> bool:
+        """True if anything could find success."""
+        return self._judge is not None or (self._watch is not None and self._watch.may_end)
+
+    def _lost(self) -> str:
+        """Why the monitor ends the task; another attempt would be a motion because of it."""
+        return "" if self._watch is None else self._watch.failure()
 
     def _ended(self, stop_s: float | None = None) -> _Attempt:
         """Result of a task that was ended from outside."""
@@ -348,10 +329,14 @@ class Task:
         self._say(f"stopping: {first.reason}")
         cell.end()
         stop_s = cell.now_s() - found_s
+        answers_s = 0.0
+        if self._watch is not None:
+            self._watch.stop(cell.now_s())
+            answers_s = min(self._watch.end_s, _MOST_AGAIN_S)
         # A required duration restarts after an undecided evaluation, for instance while the arm
         # still moves.
         lasts_s = 0.0 if self._judge is None else min(self._judge.lasts_s, _MOST_AGAIN_S)
-        deadline_s = cell.now_s() + _CONFIRM_S + lasts_s
+        deadline_s = cell.now_s() + _CONFIRM_S + max(lasts_s, answers_s)
         while True:
             snapshot = cell.look()
             judgement = self._look(snapshot)

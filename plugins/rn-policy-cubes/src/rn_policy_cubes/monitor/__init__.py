@@ -1,0 +1,1 @@
+"""A learned monitor of progress and success for the suite "cubes"."""
