@@ -64,7 +64,7 @@ class RunTask(Arguments):
     """Arguments of run_task."""
 
     instruction: InstructionText = Field(
-        description='What to do, such as "pick up the red cube".',
+        description='What to do: "pick up the red cube".',
     )
     until: dict[str, object] | None = Field(
         default=None,
