@@ -44,7 +44,9 @@ def configure_flow(parser: ArgumentParser) -> None:
     pack.add_argument("--to", type=Path, required=True, metavar="FILE", help="the packed file")
     unpack = actions.add_parser("unpack", help="write a checkpoint that the backend pi0 loads")
     unpack.add_argument("directory", type=Path, help="a new or empty folder")
-    unpack.add_argument("--weights", type=Path, required=True, help="a packed file")
+    unpack.add_argument(
+        "--weights", type=Path, help="a packed file; default: the one in this package"
+    )
 
 
 def run_flow(arguments: Namespace) -> int:
@@ -108,8 +110,9 @@ def _unpack(arguments: Namespace) -> int:
     from rn_policy_cubes.checkpoint import CONFIGURATION_FILE
     from rn_policy_cubes.flow_checkpoint import unpack_flow
     from rn_policy_cubes.flow_packing import FlowPacked
+    from rn_policy_cubes.weights import shipped_flow_weights
 
     directory = arguments.directory
-    unpack_flow(FlowPacked.read(arguments.weights), directory)
+    unpack_flow(FlowPacked.read(arguments.weights or shipped_flow_weights()), directory)
     print(f"{directory}: use it with --config {directory / CONFIGURATION_FILE}")
     return 0
