@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rn_controller_urdf.controller import UrdfController
-from rn_policy_cubes.dataset import Shards, draw, every, sampling
+from rn_policy_cubes.dataset import Shards, draw, every, relit, sampling
 from rn_policy_cubes.demonstrations import COLOURS, ROW, shard_files, situations, write_shard
 from rn_policy_cubes.labels import PLACE_SCALE, coloured_share, label, patches_of, state_of
 from rn_policy_cubes.recipe import ACTION_SCALE, PATCHES, ROWS
@@ -139,6 +139,20 @@ def test_a_batch_keeps_every_cube_and_weighs_the_rest(shards: Path, prompts: Pro
     again = draw(loaded, prompts, sampling(loaded), 5, 24, [0, 3])
     assert (again.look.pixels == batch.look.pixels).all()
     assert (again.state == batch.state).all()
+
+
+def test_views_in_another_light_are_as_many_as_asked_for_and_repeat() -> None:
+    grey = np.full((200, 4, 588), 120, dtype=np.uint8)
+    changed = relit(grey, 0.6, np.random.default_rng(5))
+    assert (changed == relit(grey, 0.6, np.random.default_rng(5))).all()
+    is_changed = (changed != grey).any(axis=(1, 2))
+    assert 100 <= is_changed.sum() <= 140
+    # brightness 0.55 to 1.15, each channel within 15 % of it, and noise that averages out
+    gains = changed[is_changed].reshape(-1, 4, 3, 196).mean(axis=(1, 3)) / 120
+    assert gains.min() > 0.55 * 0.85 - 0.02
+    assert gains.max() < 1.15 * 1.15 + 0.02
+    assert gains.std(axis=1).max() > 0.05
+    assert (relit(grey, 0.0, np.random.default_rng(5)) == grey).all()
 
 
 def _now(

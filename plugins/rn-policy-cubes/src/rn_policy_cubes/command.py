@@ -206,7 +206,7 @@ def _recipe(settings: list[str]) -> Recipe:
     from rn_policy_cubes.recipe import Recipe
 
     try:
-        return Recipe.model_validate(settings_of(settings))
+        return Recipe.model_validate({"light": 0.6} | settings_of(settings))
     except ValidationError as error:
         raise _wrong_value(error) from None
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +25,10 @@ COLOURED = 0.10
 _SLIGHTLY_COLOURED = 0.03
 _STATE_NOISE = 0.004
 _NEAR_M, _NEAR_WEIGHT = 0.10, 1.6
+_BRIGHTNESS, _TINT, _MOST_NOISE = (0.55, 1.15), 0.15, 10.0
+"""Range of the gain of all channels, most that one channel differs from it, and the largest
+standard deviation of the noise, of 255.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,14 +128,33 @@ def draw(
     views: int,
     tokens: int,
     seed: Sequence[int],
+    light: float = 0.0,
 ) -> Batch:
-    """The batch of a training step, by its seed."""
+    """The batch of a training step, by its seed; `light` as in the recipe."""
     random = np.random.default_rng(seed)
     chosen = random.choice(len(shards), views, p=weight)
     ids = prompts.by_length[int(random.choice(len(prompts.by_length), p=prompts.share))]
     sentence = random.integers(len(ids), size=(views, len(COLOURS)))
     noise = random.normal(0.0, _STATE_NOISE, (views, shards.labels.state.shape[1]))
-    return _batch(shards, chosen, ids[sentence, np.arange(len(COLOURS))], noise, tokens, random)
+    batch = _batch(shards, chosen, ids[sentence, np.arange(len(COLOURS))], noise, tokens, random)
+    if light:
+        pixels = torch.from_numpy(relit(batch.look.pixels.numpy(), light, random))
+        return replace(batch, look=replace(batch.look, pixels=pixels))
+    return batch
+
+
+def relit(pixels: U8, share: float, random: np.random.Generator) -> U8:
+    """Patches (n, tokens, 588) in other light: about `share` of the n views get a random
+    brightness, tint and noise.
+    """
+    views, tokens, values = pixels.shape
+    gain = random.uniform(*_BRIGHTNESS, (views, 1, 1, 1))
+    gain = gain * random.uniform(1 - _TINT, 1 + _TINT, (views, 1, 3, 1))
+    spread = random.uniform(0.0, _MOST_NOISE, (views, 1, 1, 1))
+    noise = spread * random.standard_normal((views, tokens, 3, values // 3), dtype=np.float32)
+    changed = pixels.reshape(views, tokens, 3, -1) * gain.astype(np.float32) + noise
+    whole = np.clip(np.rint(changed), 0, 255).astype(np.uint8).reshape(pixels.shape)
+    return np.where(random.random(views)[:, None, None] < share, whole, pixels)
 
 
 def every(shards: Shards, prompts: Prompts, views: int, most: int | None = None) -> Sequence[Batch]:

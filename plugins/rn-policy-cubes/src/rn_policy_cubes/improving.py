@@ -80,6 +80,7 @@ def recipe_of_round(shards: int, steps: int, settings: Mapping[str, object]) -> 
         "cool_down": 0.4,
         "warm_up": max(1, min(100, steps // 4)),
         "full_from": 0.95,
+        "light": 0.6,
         "continues": True,
     }
     return Recipe.model_validate({**usual, **settings})

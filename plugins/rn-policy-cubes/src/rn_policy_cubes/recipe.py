@@ -71,6 +71,8 @@ class Recipe(BaseModel):
     """Visual tokens of a training step (of 256): those with cubes, and a sample that represents the
     others.
     """
+    light: Annotated[float, Field(ge=0, le=1)] = 0.0
+    """Fraction of the training views in another light, with noise; see `relit`."""
     full_from: Annotated[float, Field(ge=0, le=1)] = 0.97
     """Fraction of the steps after which all visual tokens are used."""
     full_views: Size = 8

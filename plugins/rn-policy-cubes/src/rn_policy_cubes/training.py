@@ -131,7 +131,8 @@ class Training:
         """The batch of the next step."""
         recipe, full = self.recipe, self.is_full()
         views, tokens = (recipe.full_views, PATCHES) if full else (recipe.views, recipe.tokens)
-        return draw(shards, prompts, weight, views, tokens, [recipe.seed, self.step])
+        seed = [recipe.seed, self.step]
+        return draw(shards, prompts, weight, views, tokens, seed, recipe.light)
 
     def advance(self, batch: Batch) -> dict[str, float]:
         """Run one step; returns its losses."""
