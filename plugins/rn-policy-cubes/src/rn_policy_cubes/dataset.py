@@ -154,7 +154,7 @@ def relit(pixels: U8, share: float, random: np.random.Generator) -> U8:
     noise = spread * random.standard_normal((views, tokens, 3, values // 3), dtype=np.float32)
     changed = pixels.reshape(views, tokens, 3, -1) * gain.astype(np.float32) + noise
     whole = np.clip(np.rint(changed), 0, 255).astype(np.uint8).reshape(pixels.shape)
-    return np.where(random.random(views)[:, None, None] < share, whole, pixels)
+    return np.where(random.random((views, 1, 1)) < share, whole, pixels)
 
 
 def every(shards: Shards, prompts: Prompts, views: int, most: int | None = None) -> Sequence[Batch]:
