@@ -51,6 +51,21 @@ def eval_demo(session: nox.Session) -> None:
 
 
 @lane
+def eval_rtc(session: nox.Session) -> None:
+    """the flow policy sequential, overlapped and with real-time chunking, by latency; resumes"""
+    policy = "out/eval/flow-policy"
+    shutil.rmtree(ROOT / policy, ignore_errors=True)
+    roboneuron(session, "cubes-policy", "flow", "unpack", policy)
+    run = ["eval", "run", "--backend", "pi0", "--checkpoint", policy]
+    run += ["--config", f"{policy}/roboneuron.toml", "--out", "out/eval/rtc"]
+    run += ["--seed", "20000", "--episodes", "200", "--workers", JOBS, "--retry-errors"]
+    run += ["--execution", "sequential,overlap,rtc"]
+    for latency in ("0", "112ms", "250ms", "400ms"):
+        run += ["--latency", latency]
+    roboneuron(session, *run, *session.posargs)
+
+
+@lane
 def eval_shift(session: nox.Session) -> None:
     """the learned policy on 50 seeds with the camera moved, other light, table or noise"""
     policy = "out/eval/policy"

@@ -117,7 +117,7 @@ def served(directory: Path) -> str:
         "# Read by `roboneuron serve-policy`.",
         "",
         f"[models.{DATA_SET}]",
-        *_toml({"backend": BACKEND, "checkpoint": str(directory.resolve())}),
+        *toml_lines({"backend": BACKEND, "checkpoint": str(directory.resolve())}),
         "",
         *_tables(f"models.{DATA_SET}.options", {}),
     ]
@@ -129,10 +129,11 @@ def _tables(name: str, first: Mapping[str, object]) -> list[str]:
     options = {**first, **OPTIONS}
     own = options.pop("own_profile")
     assert isinstance(own, Mapping)
-    return [f"[{name}]", *_toml(options), "", f"[{name}.own_profile]", *_toml(own)]
+    return [f"[{name}]", *toml_lines(options), "", f"[{name}.own_profile]", *toml_lines(own)]
 
 
-def _toml(values: Mapping[str, object]) -> list[str]:
+def toml_lines(values: Mapping[str, object]) -> list[str]:
+    """Keys and values of a table as TOML."""
     return [f"{name} = {json.dumps(value)}" for name, value in values.items()]
 
 

@@ -8,6 +8,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from rn_policy_cubes.flow_command import configure_flow, run_flow
 from rn_policy_cubes.monitor.command import configure_monitor, run_monitor
 from roboneuron import ConfigurationError
 
@@ -24,7 +25,7 @@ _FUSE_HELP = "compile the layers: half the time; needs C++"
 
 class CubesPolicy:
     """A small learned policy for the suite "cubes": training, and export as a checkpoint in the
-    OpenVLA-OFT layout.
+    OpenVLA-OFT layout, or, as a flow policy, in pi0's.
     """
 
     def configure(self, parser: ArgumentParser) -> None:
@@ -81,6 +82,7 @@ class CubesPolicy:
         unpack.add_argument(
             "--weights", type=Path, help="a packed file; default: the one in this package"
         )
+        configure_flow(actions.add_parser("flow", help="the same skill as a pi0 flow policy"))
 
     def run(self, arguments: Namespace) -> int:
         """Run `roboneuron cubes-policy`."""
@@ -95,6 +97,8 @@ class CubesPolicy:
                 return _monitor(arguments)
             case "pack":
                 return _pack(arguments)
+            case "flow":
+                return run_flow(arguments)
             case _:
                 return _unpack(arguments)
 
@@ -144,7 +148,7 @@ def _improve(arguments: Namespace) -> int:
     torch.set_num_threads(arguments.threads)
     try:
         plan = RoundPlan(
-            recipe=recipe_of_round(arguments.shards, arguments.steps, _settings(arguments.set)),
+            recipe=recipe_of_round(arguments.shards, arguments.steps, settings_of(arguments.set)),
             rollouts=arguments.rollouts,
             views=arguments.views,
             seeds=arguments.seeds,
@@ -213,7 +217,7 @@ def _recipe(settings: list[str]) -> Recipe:
     from rn_policy_cubes.recipe import Recipe
 
     try:
-        return Recipe.model_validate({"light": 0.6} | _settings(settings))
+        return Recipe.model_validate({"light": 0.6} | settings_of(settings))
     except ValidationError as error:
         raise _wrong_value(error) from None
 
@@ -223,7 +227,8 @@ def _wrong_value(error: ValidationError) -> ConfigurationError:
     return ConfigurationError(f"{'.'.join(map(str, first['loc']))}: {first['msg']}.")
 
 
-def _settings(settings: list[str]) -> dict[str, object]:
+def settings_of(settings: list[str]) -> dict[str, object]:
+    """Values by name of `--set` options. Raises ConfigurationError."""
     values: dict[str, object] = {}
     for setting in settings:
         name, equals, value = setting.partition("=")

@@ -14,7 +14,7 @@ from torch import Tensor
 from rn_policy_cubes.demonstrations import COLOURS, shard_files
 from rn_policy_cubes.labels import Labels, coloured_share, label, patches_of
 from rn_policy_cubes.network import Look
-from rn_policy_cubes.recipe import PATCHES
+from rn_policy_cubes.recipe import PATCHES, ROWS
 from rn_policy_cubes.words import Prompts
 
 U8 = NDArray[np.uint8]
@@ -46,14 +46,16 @@ class Shards:
     labels: Labels
 
     @classmethod
-    def load(cls, directory: Path, numbers: Sequence[int]) -> Shards:
-        """Read shards. Raises FileNotFoundError if one is missing."""
+    def load(cls, directory: Path, numbers: Sequence[int], length: int = ROWS) -> Shards:
+        """Read shards, with labels of `length` actions. Raises FileNotFoundError if one is
+        missing.
+        """
         patches, shares, labels = [], [], []
         for number in numbers:
             rows, pictures = (np.load(path) for path in shard_files(directory, number))
             patches.append(patches_of(pictures))
             shares.append(coloured_share(patches[-1]))
-            labels.append(label(rows))
+            labels.append(label(rows, length))
         parts = zip(patches, shares, labels, strict=True)
         return cls.joined([cls(*part) for part in parts])
 
@@ -81,7 +83,7 @@ class Batch:
         look: images.
         state: (views, 7).
         ids: (views, colours, n).
-        actions: (pairs, ROWS, 7).
+        actions: (pairs, length, 7).
         place: (pairs, 5).
         known, placed: (pairs,) float, 1 if `actions`, or `place`, is a valid label.
         distance_m: (pairs,).

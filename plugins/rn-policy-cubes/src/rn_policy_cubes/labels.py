@@ -40,7 +40,7 @@ class Labels:
 
     Attributes:
         state: float32 (n, 7), normalised.
-        actions: float32 (n, c, ROWS, 7), normalised.
+        actions: float32 (n, c, length, 7), normalised.
         place: float32 (n, c, 7), cube relative to the TCP, scaled; sine and cosine of four times
             the turn to it; the same of its yaw in the base frame.
         known: bool (n, c), False if the teacher has no sensible answer because the gripper holds
@@ -67,10 +67,10 @@ def state_of(row: np.void | NDArray[np.void]) -> F32:
     return np.asarray(scaled, dtype=np.float32)
 
 
-def label(rows: NDArray[np.void]) -> Labels:
-    """The teacher's labels for every row."""
+def label(rows: NDArray[np.void], length: int = ROWS) -> Labels:
+    """The teacher's labels for every row, with chunks of `length` actions."""
     count, colours = len(rows), len(COLOURS)
-    actions = np.empty((count, colours, ROWS, ACTION_WIDTH), dtype=np.float32)
+    actions = np.empty((count, colours, length, ACTION_WIDTH), dtype=np.float32)
     place = np.empty((count, colours, PLACE_WIDTH), dtype=np.float32)
     distance = np.empty((count, colours), dtype=np.float32)
     for cube in range(colours):
@@ -81,7 +81,7 @@ def label(rows: NDArray[np.void]) -> Labels:
         distance[:, cube] = np.linalg.norm(now.to_cube_m, axis=1)
         place[:, cube, :3] = now.to_cube_m * PLACE_SCALE
         place[:, cube, 3::2], place[:, cube, 4::2] = sine, cosine
-        actions[:, cube] = chunks(now, ROWS)
+        actions[:, cube] = chunks(now, length)
     is_target = rows["target"][:, None] == np.arange(colours)
     is_busy = (rows["opening"] < 0.9) & (distance[is_target] < 0.03)
     known = is_target | ~is_busy[:, None]

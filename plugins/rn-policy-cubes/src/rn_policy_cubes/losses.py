@@ -67,11 +67,11 @@ def losses(thought: Thought, helpers: Helpers, batch: Batch, guidance: float = 1
     action = (error.mean(dim=(1, 2)) * batch.known).sum() / batch.known.sum().clamp(min=1)
     points, accuracy = [], action
     for head, tokens in zip(helpers.point, thought.visual, strict=True):
-        point, accuracy = _pointing(head(_normed(tokens))[..., 0], batch)
+        point, accuracy = pointing(head(normed(tokens))[..., 0], batch)
         points.append(point)
     point = torch.stack(points).mean()
     named = batch.shows_named
-    guess = helpers.spot(_normed(thought.visual[1])).float()
+    guess = helpers.spot(normed(thought.visual[1])).float()
     spot_error = (guess - batch.place[:, None]).abs().mean(dim=-1)
     spotted = named * batch.placed[:, None]
     spot = (spot_error * spotted).sum() / spotted.sum().clamp(min=1)
@@ -82,7 +82,7 @@ def losses(thought: Thought, helpers: Helpers, batch: Batch, guidance: float = 1
     return Losses(total, action, point, spot, place, accuracy, told)
 
 
-def _pointing(logits: Tensor, batch: Batch) -> tuple[Tensor, Tensor]:
+def pointing(logits: Tensor, batch: Batch) -> tuple[Tensor, Tensor]:
     """Cross-entropy with equal weights of the named cube, other cubes and background; balanced
     accuracy of the former two.
     """
@@ -99,5 +99,5 @@ def _pointing(logits: Tensor, batch: Batch) -> tuple[Tensor, Tensor]:
     return parts[0] + parts[1] + 0.5 * parts[2], right.detach()
 
 
-def _normed(tokens: Tensor) -> Tensor:
+def normed(tokens: Tensor) -> Tensor:
     return functional.rms_norm(tokens.float(), tokens.shape[-1:])

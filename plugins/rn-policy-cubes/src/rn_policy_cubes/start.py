@@ -12,10 +12,10 @@ from rn_policy_cubes.dataset import COLOURED, Shards
 from rn_policy_cubes.network import PIXELS, CubesNetwork, CubesVisionTower
 from rn_policy_cubes.recipe import GRID, PATCH_VALUES, NetworkShape
 
-_POSITION_SHARE = 4
+POSITION_SHARE = 4
 """One of this number of a tower's channels is for the position."""
 _SAMPLE = 20_000
-_SIZE = 0.7
+FILTER_SIZE = 0.7
 
 
 def new_network(shape: NetworkShape, ids: Sequence[int], shards: Shards, seed: int) -> CubesNetwork:
@@ -27,15 +27,20 @@ def new_network(shape: NetworkShape, ids: Sequence[int], shards: Shards, seed: i
     """
     torch.manual_seed(seed)
     network = CubesNetwork(shape, ids)
-    coloured = np.argwhere(shards.share.sum(axis=-1) > COLOURED)
     random = np.random.default_rng([seed, 1])
-    sample = coloured[random.permutation(len(coloured))[:_SAMPLE]]
-    values = torch.from_numpy(shards.patches[sample[:, 0], sample[:, 1]]).float() / 255
+    values = coloured_patches(shards, random)
     for number, tower in enumerate(network.towers):
         assert isinstance(tower, CubesVisionTower)
         _set_filters(tower, number, values)
         _set_positions(tower, number, random)
     return network
+
+
+def coloured_patches(shards: Shards, random: np.random.Generator) -> Tensor:
+    """A sample of the patches that show cubes, (n, 588) in 0 .. 1."""
+    coloured = np.argwhere(shards.share.sum(axis=-1) > COLOURED)
+    sample = coloured[random.permutation(len(coloured))[:_SAMPLE]]
+    return torch.from_numpy(shards.patches[sample[:, 0], sample[:, 1]]).float() / 255
 
 
 @torch.no_grad()
@@ -44,10 +49,14 @@ def _set_filters(tower: CubesVisionTower, number: int, values: Tensor) -> None:
     normalised = (values - mean) / spread
     centre = normalised.mean(dim=0)
     width = tower.patch.out_features
-    filters = min(width - width // _POSITION_SHARE, len(values) // 2)
+    filters = min(width - width // POSITION_SHARE, len(values) // 2)
     _, strength, components = torch.linalg.svd(normalised - centre, full_matrices=False)
     chosen = slice(number, 2 * filters, 2)  # even ones to one tower, odd ones to the other
-    scale = _SIZE * len(values) ** 0.5 / strength[chosen, None].clamp(min=1e-3 * float(strength[0]))
+    scale = (
+        FILTER_SIZE
+        * len(values) ** 0.5
+        / strength[chosen, None].clamp(min=1e-3 * float(strength[0]))
+    )
     weight = components[chosen] * scale
     tower.patch.weight.zero_()
     tower.patch.bias.zero_()
@@ -58,16 +67,21 @@ def _set_filters(tower: CubesVisionTower, number: int, values: Tensor) -> None:
 @torch.no_grad()
 def _set_positions(tower: CubesVisionTower, number: int, random: np.random.Generator) -> None:
     width = tower.pos_embed.shape[-1]
-    across = torch.linspace(-1, 1, GRID).repeat(GRID)
-    down = torch.linspace(-1, 1, GRID).repeat_interleave(GRID)
-    functions = [across, down, across * down, across**2 - 0.35, down**2 - 0.35]
-    for waves in range(1, width):
-        functions += [torch.sin(waves * 1.5 * across), torch.cos(waves * 1.5 * across)]
-        functions += [torch.sin(waves * 1.5 * down), torch.cos(waves * 1.5 * down)]
-    count = width // _POSITION_SHARE
-    places = torch.stack(functions[:count], dim=-1)
+    count = width // POSITION_SHARE
+    places = position_functions(count)
     if number:  # the other tower gets mixtures of more functions
-        more = torch.stack(functions[: 2 * count], dim=-1)
+        more = position_functions(2 * count)
         mix = torch.from_numpy(random.normal(size=(2 * count, count)) / (2 * count) ** 0.5).float()
         places = more @ mix * 1.5
     tower.pos_embed[0, :, width - count :] = places
+
+
+def position_functions(count: int) -> Tensor:
+    """Smooth functions of a patch's position in the image, (patches, count)."""
+    across = torch.linspace(-1, 1, GRID).repeat(GRID)
+    down = torch.linspace(-1, 1, GRID).repeat_interleave(GRID)
+    functions = [across, down, across * down, across**2 - 0.35, down**2 - 0.35]
+    for waves in range(1, count):
+        functions += [torch.sin(waves * 1.5 * across), torch.cos(waves * 1.5 * across)]
+        functions += [torch.sin(waves * 1.5 * down), torch.cos(waves * 1.5 * down)]
+    return torch.stack(functions[:count], dim=-1)

@@ -10,7 +10,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import torch
 from torch import Tensor, nn
@@ -218,7 +218,7 @@ def train(
         for layer in training.network.layers:
             layer.compile(dynamic=False)
     weight, last = sampling(shards), recipe.steps if until is None else min(until, recipe.steps)
-    curve = _Curve(directory / CURVE_FILE)
+    curve = Curve(directory / CURVE_FILE)
     begins = f"at step {training.step}" if training.step else "from the beginning"
     size = sum(parameter.numel() for parameter in training.network.parameters())
     say(
@@ -295,7 +295,14 @@ def pack(directory: Path) -> Packed:
     )
 
 
-class _Curve:
+class Counted(Protocol):
+    """A training that counts its steps and their CPU time."""
+
+    step: int
+    cpu_s: float
+
+
+class Curve:
     """The training curve: losses by step, averaged between two lines of the file."""
 
     def __init__(self, path: Path) -> None:
@@ -309,12 +316,12 @@ class _Curve:
             self._sums[name] = self._sums.get(name, 0.0) + value
         self._count += 1
 
-    def flush(self, training: Training) -> None:
+    def flush(self, training: Counted) -> None:
         """Write the mean of the added losses."""
         self.note(training, {name: value / self._count for name, value in self._sums.items()})
         self._sums, self._count = {}, 0
 
-    def note(self, training: Training, numbers: dict[str, float]) -> None:
+    def note(self, training: Counted, numbers: dict[str, float]) -> None:
         """Write one line."""
         rounded = {
             name: value if math.isnan(value) else round(value, 5) for name, value in numbers.items()

@@ -8,6 +8,7 @@ from pathlib import Path
 from roboneuron import ConfigurationError
 
 WEIGHTS_FILE = "cubes-policy.safetensors"
+FLOW_FILE = "cubes-flow-policy.safetensors"
 
 
 def shipped_weights() -> Path:
@@ -17,5 +18,19 @@ def shipped_weights() -> Path:
         raise ConfigurationError(
             "This build of rn-policy-cubes has no weights.",
             hint="Train them: make train-cubes; then: roboneuron cubes-policy pack --to FILE",
+        )
+    return path
+
+
+def shipped_flow_weights() -> Path:
+    """Path of the shipped packed file of the flow policy. Raises ConfigurationError if this build
+    has none.
+    """
+    path = Path(str(files("rn_policy_cubes") / "data" / FLOW_FILE))
+    if not path.exists():
+        raise ConfigurationError(
+            "This build of rn-policy-cubes has no weights of the flow policy.",
+            hint="Train them: roboneuron cubes-policy flow train; then: cubes-policy flow pack "
+            "--to FILE",
         )
     return path

@@ -28,7 +28,7 @@ SENTENCES = (
 )
 """Sentences of equal length, so that compiled layers have one shape."""
 _PREFIX, _SUFFIX = "▁In:▁What▁action▁should▁the▁robot▁take▁to", "?\nOut:"
-_WORDS = (
+COMMON_WORDS = (
     "a all and at block box brick button collect cube cubes down fetch from get grab grasp hand "
     "hold in it lift "
     "little me move now of on one pick piece place please put raise robot seize small square "
@@ -50,7 +50,7 @@ def write_tokenizer(path: Path) -> None:
     vocabulary |= {f"<0x{byte:02X}>": 3 + byte for byte in range(256)}
     pieces = ["\n", *(chr(code) for code in range(33, 127))]
     merges: list[tuple[str, str]] = []
-    for chain in (_PREFIX, _SUFFIX, *(f"▁{word}" for word in _WORDS.split())):
+    for chain in (_PREFIX, _SUFFIX, *(f"▁{word}" for word in COMMON_WORDS.split())):
         built = chain[0]
         for letter in chain[1:]:
             merges.append((built, letter))
