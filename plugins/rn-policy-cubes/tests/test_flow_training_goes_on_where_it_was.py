@@ -11,11 +11,11 @@ import torch
 
 from rn_policy_cubes.command import CubesPolicy
 from rn_policy_cubes.dataset import Shards, every
-from rn_policy_cubes.flow_losses import FlowTask, from_network, to_network
-from rn_policy_cubes.flow_packing import pack_flow
-from rn_policy_cubes.flow_recipe import ACTION_STD, FLOW_ROWS, FlowRecipe, FlowShape
-from rn_policy_cubes.flow_training import FlowTraining, train_flow
-from rn_policy_cubes.flow_words import read_flow_prompts, write_flow_tokenizer
+from rn_policy_cubes.flow.losses import FlowTask, from_network, to_network
+from rn_policy_cubes.flow.packing import pack_flow
+from rn_policy_cubes.flow.recipe import ACTION_STD, FLOW_ROWS, FlowRecipe, FlowShape
+from rn_policy_cubes.flow.training import FlowTraining, train_flow
+from rn_policy_cubes.flow.words import read_flow_prompts, write_flow_tokenizer
 from rn_policy_cubes.recipe import ACTION_SCALE
 from rn_policy_cubes.training import CURVE_FILE, STATE_FILE
 from roboneuron import ConfigurationError

@@ -11,12 +11,12 @@ import torch
 from rn_backend_pi0.cli import main as check_pi0
 from rn_backend_pi0.layouts import read_checkpoint
 from rn_backend_pi0.model import Pi0Model
-from rn_policy_cubes.flow_checkpoint import flow_configuration, unpack_flow
-from rn_policy_cubes.flow_measure import EULER_STEPS
-from rn_policy_cubes.flow_network import CubesFlowNetwork, chunk_shape
-from rn_policy_cubes.flow_packing import FlowCard, FlowPacked
-from rn_policy_cubes.flow_recipe import STATE_MEAN, STATE_STD, FlowRecipe, FlowShape
-from rn_policy_cubes.flow_words import read_flow_prompts, write_flow_tokenizer
+from rn_policy_cubes.flow.checkpoint import flow_configuration, unpack_flow
+from rn_policy_cubes.flow.measure import EULER_STEPS
+from rn_policy_cubes.flow.network import CubesFlowNetwork, chunk_shape
+from rn_policy_cubes.flow.packing import FlowCard, FlowPacked
+from rn_policy_cubes.flow.recipe import STATE_MEAN, STATE_STD, FlowRecipe, FlowShape
+from rn_policy_cubes.flow.words import read_flow_prompts, write_flow_tokenizer
 from rn_policy_cubes.labels import patches_of
 from rn_policy_cubes.network import Look
 from rn_policy_cubes.packing import Packed

@@ -8,7 +8,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rn_policy_cubes.flow_command import configure_flow, run_flow
+from rn_policy_cubes.flow.command import configure_flow, run_flow
 from rn_policy_cubes.monitor.command import configure_monitor, run_monitor
 from roboneuron import ConfigurationError
 
@@ -169,7 +169,7 @@ def _improve(arguments: Namespace) -> int:
 
 def _monitor(arguments: Namespace) -> int:
     os.environ["OMP_NUM_THREADS"] = str(getattr(arguments, "threads", 1))
-    return run_monitor(arguments, _settings(getattr(arguments, "set", [])), _say)
+    return run_monitor(arguments, settings_of(getattr(arguments, "set", [])), _say)
 
 
 def _roll_back(arguments: Namespace) -> int:

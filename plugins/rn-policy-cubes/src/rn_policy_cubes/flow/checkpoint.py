@@ -14,10 +14,10 @@ from safetensors.torch import save_file
 from torch import Tensor
 
 from rn_policy_cubes.checkpoint import CONFIGURATION_FILE, toml_lines
-from rn_policy_cubes.flow_measure import EULER_STEPS
-from rn_policy_cubes.flow_network import CubesFlowNetwork
-from rn_policy_cubes.flow_packing import FlowPacked
-from rn_policy_cubes.flow_recipe import (
+from rn_policy_cubes.flow.measure import EULER_STEPS
+from rn_policy_cubes.flow.network import CubesFlowNetwork
+from rn_policy_cubes.flow.packing import FlowPacked
+from rn_policy_cubes.flow.recipe import (
     ACTION_MEAN,
     ACTION_STD,
     FLOW_ROWS,
@@ -25,7 +25,7 @@ from rn_policy_cubes.flow_recipe import (
     STATE_STD,
     FlowShape,
 )
-from rn_policy_cubes.flow_words import write_flow_tokenizer
+from rn_policy_cubes.flow.words import write_flow_tokenizer
 from rn_policy_cubes.recipe import ACTION_WIDTH, GRID, PATCH_PX, STATE_WIDTH
 from rn_policy_cubes.teacher import STEP_S
 from roboneuron import ConfigurationError

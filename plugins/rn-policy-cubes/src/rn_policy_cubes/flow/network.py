@@ -11,7 +11,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from rn_policy_cubes.flow_recipe import FLOW_ROWS, FlowShape
+from rn_policy_cubes.flow.recipe import FLOW_ROWS, FlowShape
 from rn_policy_cubes.network import Look, attend
 from rn_policy_cubes.recipe import ACTION_WIDTH, PATCH_VALUES, PATCHES, STATE_WIDTH
 

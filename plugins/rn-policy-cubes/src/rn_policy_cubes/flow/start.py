@@ -8,8 +8,8 @@ import numpy as np
 import torch
 
 from rn_policy_cubes.dataset import Shards
-from rn_policy_cubes.flow_network import CubesFlowNetwork
-from rn_policy_cubes.flow_recipe import FlowShape
+from rn_policy_cubes.flow.network import CubesFlowNetwork
+from rn_policy_cubes.flow.recipe import FlowShape
 from rn_policy_cubes.start import (
     FILTER_SIZE,
     POSITION_SHARE,

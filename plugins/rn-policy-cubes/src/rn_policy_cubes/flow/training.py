@@ -15,12 +15,12 @@ import torch
 from torch import Tensor, nn
 
 from rn_policy_cubes.dataset import Batch, Shards, draw, sampling
-from rn_policy_cubes.flow_losses import FlowHelpers, FlowTask, flow_losses
-from rn_policy_cubes.flow_measure import measure_flow
-from rn_policy_cubes.flow_network import CubesFlowNetwork
-from rn_policy_cubes.flow_recipe import FLOW_ROWS, FlowRecipe
-from rn_policy_cubes.flow_start import new_flow_network
-from rn_policy_cubes.flow_words import read_flow_prompts, write_flow_tokenizer
+from rn_policy_cubes.flow.losses import FlowHelpers, FlowTask, flow_losses
+from rn_policy_cubes.flow.measure import measure_flow
+from rn_policy_cubes.flow.network import CubesFlowNetwork
+from rn_policy_cubes.flow.recipe import FLOW_ROWS, FlowRecipe
+from rn_policy_cubes.flow.start import new_flow_network
+from rn_policy_cubes.flow.words import read_flow_prompts, write_flow_tokenizer
 from rn_policy_cubes.progress import EVERY_S, Progress, Say
 from rn_policy_cubes.recipe import PATCHES
 from rn_policy_cubes.replacing import replacing

@@ -14,9 +14,9 @@ from safetensors import safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
-from rn_policy_cubes.flow_network import CubesFlowNetwork
-from rn_policy_cubes.flow_recipe import FlowRecipe
-from rn_policy_cubes.flow_training import FlowTraining
+from rn_policy_cubes.flow.network import CubesFlowNetwork
+from rn_policy_cubes.flow.recipe import FlowRecipe
+from rn_policy_cubes.flow.training import FlowTraining
 from rn_policy_cubes.training import CURVE_FILE, STATE_FILE
 from roboneuron import ConfigurationError
 

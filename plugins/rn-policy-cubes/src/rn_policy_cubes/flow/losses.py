@@ -10,8 +10,8 @@ import torch
 from torch import Tensor, nn
 
 from rn_policy_cubes.dataset import Batch
-from rn_policy_cubes.flow_network import FlowPrefix, FlowThought
-from rn_policy_cubes.flow_recipe import ACTION_MEAN, ACTION_STD, FlowShape
+from rn_policy_cubes.flow.network import FlowPrefix, FlowThought
+from rn_policy_cubes.flow.recipe import ACTION_MEAN, ACTION_STD, FlowShape
 from rn_policy_cubes.labels import PLACE_WIDTH
 from rn_policy_cubes.losses import normed, pointing
 from rn_policy_cubes.recipe import ACTION_SCALE

@@ -66,8 +66,8 @@ def _train(arguments: Namespace) -> int:
     from pydantic import ValidationError
 
     from rn_policy_cubes.command import settings_of
-    from rn_policy_cubes.flow_recipe import FlowRecipe
-    from rn_policy_cubes.flow_training import train_flow
+    from rn_policy_cubes.flow.recipe import FlowRecipe
+    from rn_policy_cubes.flow.training import train_flow
     from rn_policy_cubes.record import record
 
     try:
@@ -98,7 +98,7 @@ def _say(line: str) -> None:
 
 
 def _pack(arguments: Namespace) -> int:
-    from rn_policy_cubes.flow_packing import pack_flow
+    from rn_policy_cubes.flow.packing import pack_flow
 
     packed = pack_flow(arguments.out)
     packed.write(arguments.to)
@@ -108,8 +108,8 @@ def _pack(arguments: Namespace) -> int:
 
 def _unpack(arguments: Namespace) -> int:
     from rn_policy_cubes.checkpoint import CONFIGURATION_FILE
-    from rn_policy_cubes.flow_checkpoint import unpack_flow
-    from rn_policy_cubes.flow_packing import FlowPacked
+    from rn_policy_cubes.flow.checkpoint import unpack_flow
+    from rn_policy_cubes.flow.packing import FlowPacked
     from rn_policy_cubes.weights import shipped_flow_weights
 
     directory = arguments.directory

@@ -10,8 +10,8 @@ import numpy as np
 import torch
 
 from rn_policy_cubes.dataset import Shards, every
-from rn_policy_cubes.flow_losses import FlowHelpers, from_network, to_network
-from rn_policy_cubes.flow_network import CubesFlowNetwork
+from rn_policy_cubes.flow.losses import FlowHelpers, from_network, to_network
+from rn_policy_cubes.flow.network import CubesFlowNetwork
 from rn_policy_cubes.labels import PLACE_SCALE
 from rn_policy_cubes.losses import normed
 from rn_policy_cubes.words import Prompts
