@@ -101,7 +101,7 @@ def test_another_recording_is_shown_as_it_was_labelled_and_a_refusal_is_told(
     recorded.refusal = "ann operates the robot. Call take_over."
     page = look(serve().url)
     page.locator("#rn-label-open").click()
-    page.get_by_label("Recording").select_option("20260101-070000-first")
+    page.get_by_label("Recording", exact=True).select_option("20260101-070000-first")
     assert page.get_by_label("Failure").is_checked()
     assert page.get_by_label("Comment").input_value() == "<b>dropped</b> it"
     page.get_by_role("button", name="Save the label").click()
