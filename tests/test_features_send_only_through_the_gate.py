@@ -73,6 +73,7 @@ def test_features_send_only_through_the_gate():
 
 
 IN_MODULES = {
+    STANDARD / "control" / "stepped.py",
     STANDARD / "inference" / "polled.py",
     STANDARD / "teleoperation" / "in_control.py",
 }

@@ -156,5 +156,5 @@ def test_another_robots_profile_is_refused() -> None:
 
     other = replace(so101_profile(), arm_joints=("a", "b"))
     driver = SimulatedSo101Driver(None, other, MemoryTopics())
-    with pytest.raises(ConfigurationError, match="others"):
+    with pytest.raises(ConfigurationError, match="the profile 'so101' has a, b"):
         driver.open()

@@ -56,5 +56,7 @@ def test_a_suspended_module_is_noticed_under_each_of_its_words(word):
 
 
 def test_a_fault_that_follows_makes_it_another_scene():
-    with pytest.raises(NotReadyError, match="inference is failing since perception was broken"):
+    with pytest.raises(
+        NotReadyError, match="after breaking perception is not the scene's: inference is failing"
+    ):
         wait(Recorded([AFTERWARDS, ENDED, OTHER]), KILLED)

@@ -304,6 +304,7 @@ def test_both_policies_are_told_the_instruction() -> None:
         node=SimpleNamespace(stopped=False),
         _inputs=SimpleNamespace(captured_ns=lambda observation: 5),
         _not_before_ns=0,
+        _stepped=None,
         _instruction=SimpleNamespace(count=1, text="pick up the red cube", is_new=True),
         _fallback=SimpleNamespace(answer=answer),
         _observe=lambda: seen,
