@@ -155,21 +155,21 @@ def _improve(arguments: Namespace) -> int:
             time_limit_s=arguments.time_limit,
         )
     except ValidationError as error:
-        raise _wrong_value(error) from None
+        raise wrong_value(error) from None
     with alone_in(arguments.out):
-        wheel = Wheel(arguments.out, _say, fuse=arguments.fuse)
+        wheel = Wheel(arguments.out, say, fuse=arguments.fuse)
         number = wheel.begin(arguments.weights or shipped_weights(), plan, arguments.corrections)
         test = wheel.run(number)
         is_promoted = wheel.champion == number
-        _say(f"round {number}, {test.seeds} unseen scenes: {test}")
-        _say("the challenger is promoted" if is_promoted else "it is worse: the champion stays")
-        _say(f"the champion: {wheel.checkpoint(wheel.champion)}")
+        say(f"round {number}, {test.seeds} unseen scenes: {test}")
+        say("the challenger is promoted" if is_promoted else "it is worse: the champion stays")
+        say(f"the champion: {wheel.checkpoint(wheel.champion)}")
     return 0
 
 
 def _monitor(arguments: Namespace) -> int:
     os.environ["OMP_NUM_THREADS"] = str(getattr(arguments, "threads", 1))
-    return run_monitor(arguments, settings_of(getattr(arguments, "set", [])), _say)
+    return run_monitor(arguments, settings_of(getattr(arguments, "set", [])), say)
 
 
 def _roll_back(arguments: Namespace) -> int:
@@ -182,7 +182,7 @@ def _roll_back(arguments: Namespace) -> int:
             hint="Begin: roboneuron cubes-policy improve",
         )
     with alone_in(arguments.out):
-        wheel = Wheel(arguments.out, _say)
+        wheel = Wheel(arguments.out, say)
         gone, back = wheel.roll_back()
         print(f"round {gone} is rolled back; the champion: {wheel.checkpoint(back)}")
     return 0
@@ -198,15 +198,15 @@ def _train(arguments: Namespace) -> int:
     torch.set_num_threads(arguments.threads)
     recipe = _recipe(arguments.set)
     data = arguments.data or arguments.out / "demonstrations"
-    record(data, recipe.shards, workers=arguments.workers, say=_say)
+    record(data, recipe.shards, workers=arguments.workers, say=say)
     training = train(
-        recipe, arguments.out, data, until=arguments.until, fuse=arguments.fuse, say=_say
+        recipe, arguments.out, data, until=arguments.until, fuse=arguments.fuse, say=say
     )
     print(f"step {training.step} of {recipe.steps}, state in {arguments.out}")
     return 0
 
 
-def _say(line: str) -> None:
+def say(line: str) -> None:
     """Print immediately, also into a file or a pipe."""
     print(line, flush=True)
 
@@ -219,10 +219,11 @@ def _recipe(settings: list[str]) -> Recipe:
     try:
         return Recipe.model_validate({"light": 0.6} | settings_of(settings))
     except ValidationError as error:
-        raise _wrong_value(error) from None
+        raise wrong_value(error) from None
 
 
-def _wrong_value(error: ValidationError) -> ConfigurationError:
+def wrong_value(error: ValidationError) -> ConfigurationError:
+    """The error of a value that a recipe refuses."""
     first = error.errors()[0]
     return ConfigurationError(f"{'.'.join(map(str, first['loc']))}: {first['msg']}.")
 

@@ -277,22 +277,24 @@ def pack(directory: Path) -> Packed:
     recipe = Recipe.model_validate(saved["recipe"])
     prompts = read_prompts(directory / "tokenizer.json")
     training = Training.read(state, recipe, prompts, torch.device("cpu"))
-    lines = [
-        json.loads(line)
-        for line in (directory / CURVE_FILE).read_text(encoding="utf-8").splitlines()
-    ]
-    figures: dict[str, float] = {}
-    for line in lines:
-        # JSON has no NaN, the value of metrics without suitable held-out views
-        figures |= {
-            name: value
-            for name, value in line.items()
-            if name.startswith("held_out_") and not math.isnan(value)
-        }
+    figures = newest_figures(directory / CURVE_FILE)
     return Packed.of(
         training.average,
         Card(recipe=recipe, step=training.step, cpu_s=training.cpu_s, figures=figures),
     )
+
+
+def newest_figures(curve: Path) -> dict[str, float]:
+    """The newest metrics on held-out views in a training curve, by name; none without a file."""
+    figures: dict[str, float] = {}
+    for line in curve.read_text(encoding="utf-8").splitlines() if curve.exists() else ():
+        # JSON has no NaN, the value of metrics without suitable held-out views
+        figures |= {
+            name: value
+            for name, value in json.loads(line).items()
+            if name.startswith("held_out_") and not math.isnan(value)
+        }
+    return figures
 
 
 class Counted(Protocol):

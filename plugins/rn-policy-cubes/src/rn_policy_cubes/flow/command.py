@@ -6,8 +6,6 @@ import os
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-from roboneuron import ConfigurationError
-
 FLOW_DIRECTORY = Path("out/train-flow")
 
 
@@ -65,7 +63,7 @@ def _train(arguments: Namespace) -> int:
     import torch
     from pydantic import ValidationError
 
-    from rn_policy_cubes.command import settings_of
+    from rn_policy_cubes.command import say, settings_of, wrong_value
     from rn_policy_cubes.flow.recipe import FlowRecipe
     from rn_policy_cubes.flow.training import train_flow
     from rn_policy_cubes.record import record
@@ -73,12 +71,10 @@ def _train(arguments: Namespace) -> int:
     try:
         recipe = FlowRecipe.model_validate(settings_of(arguments.set))
     except ValidationError as error:
-        first = error.errors()[0]
-        name = ".".join(map(str, first["loc"]))
-        raise ConfigurationError(f"{name}: {first['msg']}.") from None
+        raise wrong_value(error) from None
     torch.set_num_threads(arguments.threads)
     data = arguments.data or arguments.out / "demonstrations"
-    record(data, recipe.shards, workers=arguments.workers, say=_say)
+    record(data, recipe.shards, workers=arguments.workers, say=say)
     training = train_flow(
         recipe,
         arguments.out,
@@ -86,15 +82,10 @@ def _train(arguments: Namespace) -> int:
         more=arguments.more,
         until=arguments.until,
         fuse=arguments.fuse,
-        say=_say,
+        say=say,
     )
     print(f"step {training.step} of {recipe.steps}, state in {arguments.out}")
     return 0
-
-
-def _say(line: str) -> None:
-    """Print immediately, also into a file or a pipe."""
-    print(line, flush=True)
 
 
 def _pack(arguments: Namespace) -> int:

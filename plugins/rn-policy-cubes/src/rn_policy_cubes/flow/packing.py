@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +15,7 @@ from torch import Tensor
 from rn_policy_cubes.flow.network import CubesFlowNetwork
 from rn_policy_cubes.flow.recipe import FlowRecipe
 from rn_policy_cubes.flow.training import FlowTraining
-from rn_policy_cubes.training import CURVE_FILE, STATE_FILE
+from rn_policy_cubes.training import CURVE_FILE, STATE_FILE, newest_figures
 from roboneuron import ConfigurationError
 
 _CARD = "flow_card"
@@ -100,20 +98,11 @@ def pack_flow(directory: Path) -> FlowPacked:
     recipe = FlowRecipe.model_validate(saved["recipe"])
     vocabulary = saved["vocabulary"]
     training = FlowTraining.read(path, recipe, vocabulary, torch.device("cpu"))
-    figures: dict[str, float] = {}
-    curve = directory / CURVE_FILE
-    for line in curve.read_text(encoding="utf-8").splitlines() if curve.exists() else ():
-        # JSON has no NaN, the value of metrics without suitable held-out views
-        figures |= {
-            name: value
-            for name, value in json.loads(line).items()
-            if name.startswith("held_out_") and not math.isnan(value)
-        }
     card = FlowCard(
         recipe=recipe,
         vocabulary=vocabulary,
         step=training.step,
         cpu_s=training.cpu_s,
-        figures=figures,
+        figures=newest_figures(directory / CURVE_FILE),
     )
     return FlowPacked.of(training.average, card)
