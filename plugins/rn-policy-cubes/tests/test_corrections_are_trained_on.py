@@ -163,7 +163,6 @@ def test_a_training_goes_on_from_weights_with_corrections(
             weights=packed,
             corrections=corrections,
             say=lambda line: None,
-            measure_every=1000,
         )
         return training.network.head.fc2.weight.detach()
 

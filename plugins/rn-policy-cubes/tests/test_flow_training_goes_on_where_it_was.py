@@ -10,14 +10,15 @@ import pytest
 import torch
 
 from rn_policy_cubes.command import CubesPolicy
+from rn_policy_cubes.curve import CURVE_FILE
 from rn_policy_cubes.dataset import Shards, every
 from rn_policy_cubes.flow.losses import FlowTask, from_network, to_network
 from rn_policy_cubes.flow.packing import pack_flow
 from rn_policy_cubes.flow.recipe import ACTION_STD, FLOW_ROWS, FlowRecipe, FlowShape
 from rn_policy_cubes.flow.training import FlowTraining, train_flow
 from rn_policy_cubes.flow.words import read_flow_prompts, write_flow_tokenizer
+from rn_policy_cubes.learner import STATE_FILE, Schedule
 from rn_policy_cubes.recipe import ACTION_SCALE
-from rn_policy_cubes.training import CURVE_FILE, STATE_FILE
 from roboneuron import ConfigurationError
 
 RECIPE = FlowRecipe(
@@ -49,9 +50,8 @@ def quiet(line: str) -> None:
 
 
 def run(directory: Path, shards: Path, until: int | None = None) -> FlowTraining:
-    return train_flow(
-        RECIPE, directory, shards, until=until, say=quiet, log_every=2, measure_every=4
-    )
+    schedule = Schedule(log_every=2, measure_every=4)
+    return train_flow(RECIPE, directory, shards, until=until, say=quiet, schedule=schedule)
 
 
 def test_resuming_equals_an_uninterrupted_run(shards: Path, tmp_path: Path) -> None:
@@ -71,7 +71,7 @@ def test_losses_fall_and_the_curve_tells_them(shards: Path, tmp_path: Path) -> N
     longer = RECIPE.model_copy(
         update={"steps": 60, "full_from": 1.0, "cool_down": 0.0, "views": 8, "samples": 4}
     )
-    train_flow(longer, tmp_path, shards, say=quiet, log_every=10, measure_every=1000)
+    train_flow(longer, tmp_path, shards, say=quiet, schedule=Schedule(log_every=10))
     lines = [json.loads(line) for line in (tmp_path / CURVE_FILE).read_text().splitlines()]
     flows = [line["flow"] for line in lines if "flow" in line]
     assert flows[-1] < 0.9 * flows[0]

@@ -9,9 +9,11 @@ from pathlib import Path
 import pytest
 import torch
 
+from rn_policy_cubes.curve import CURVE_FILE
+from rn_policy_cubes.learner import STATE_FILE, Schedule
 from rn_policy_cubes.measure import turn_error
 from rn_policy_cubes.recipe import Recipe
-from rn_policy_cubes.training import CURVE_FILE, STATE_FILE, Training, pack, train
+from rn_policy_cubes.training import Training, pack, train
 from roboneuron import ConfigurationError
 
 
@@ -20,7 +22,8 @@ def quiet(line: str) -> None:
 
 
 def run(recipe: Recipe, directory: Path, shards: Path, until: int | None = None) -> Training:
-    return train(recipe, directory, shards, until=until, say=quiet, log_every=2, measure_every=4)
+    schedule = Schedule(log_every=2, measure_every=4)
+    return train(recipe, directory, shards, until=until, say=quiet, schedule=schedule)
 
 
 def test_resuming_equals_an_uninterrupted_run(recipe: Recipe, shards: Path, tmp_path: Path) -> None:
@@ -52,7 +55,7 @@ def test_the_curve_tells_losses_and_held_out_figures(
 
 def test_losses_fall(recipe: Recipe, shards: Path, tmp_path: Path) -> None:
     longer = recipe.model_copy(update={"steps": 40, "full_from": 1.0, "cool_down": 0.0, "views": 8})
-    train(longer, tmp_path, shards, say=quiet, log_every=10, measure_every=1000)
+    train(longer, tmp_path, shards, say=quiet, schedule=Schedule(log_every=10))
     totals = [
         line["total"]
         for line in map(json.loads, (tmp_path / CURVE_FILE).read_text().splitlines())

@@ -10,11 +10,13 @@ import numpy as np
 import pytest
 import torch
 
+from rn_policy_cubes.curve import CURVE_FILE
+from rn_policy_cubes.learner import STATE_FILE, Schedule
 from rn_policy_cubes.progress import Progress, duration
 from rn_policy_cubes.recipe import Recipe
 from rn_policy_cubes.record import record
 from rn_policy_cubes.replacing import replacing
-from rn_policy_cubes.training import CURVE_FILE, STATE_FILE, train
+from rn_policy_cubes.training import train
 from roboneuron import StateError
 
 
@@ -77,7 +79,8 @@ def test_training_tells_losses_and_a_preview_and_is_not_changed_by_it(
 ) -> None:
     said: list[str] = []
     whole = recipe.model_copy(update={"steps": 3})
-    train(whole, tmp_path / "told", shards, say=said.append, say_every_s=0.0, preview_every_s=0.0)
+    always = Schedule(say_every_s=0.0, preview_every_s=0.0)
+    train(whole, tmp_path / "told", shards, say=said.append, schedule=always)
     assert said[0] == "training: reading 2 shards of demonstrations"
     assert "million parameters on" in said[1]
     assert re.match(

@@ -47,14 +47,13 @@ class NetworkShape(BaseModel):
     """
 
 
-class Recipe(BaseModel):
-    """Settings of the training. Two runs of one recipe over the same shards are bit-identical on
-    one machine.
+class TrainingRecipe(BaseModel):
+    """Settings that the trainings of both policies share. Two runs of one recipe over the same
+    shards are bit-identical on one machine.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
 
-    shape: NetworkShape = NetworkShape()
     seed: int = 0
     shards: Annotated[int, Field(ge=2)] = 80
     """Shards of demonstrations; the last `held_out` of them are for measuring."""
@@ -77,6 +76,12 @@ class Recipe(BaseModel):
     """Fraction of the steps after which all visual tokens are used."""
     full_views: Size = 8
     """Views per step from then on."""
+
+
+class Recipe(TrainingRecipe):
+    """Settings of the training of the policy that answers like OpenVLA-OFT."""
+
+    shape: NetworkShape = NetworkShape()
     continues: bool = False
     """Training starts from earlier weights. The auxiliary heads start untrained, so their losses
     grow to their full weight during the warm-up.

@@ -12,10 +12,11 @@ from safetensors import safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
+from rn_policy_cubes.curve import CURVE_FILE, newest_figures
 from rn_policy_cubes.flow.network import CubesFlowNetwork
 from rn_policy_cubes.flow.recipe import FlowRecipe
 from rn_policy_cubes.flow.training import FlowTraining
-from rn_policy_cubes.training import CURVE_FILE, STATE_FILE, newest_figures
+from rn_policy_cubes.learner import STATE_FILE
 from roboneuron import ConfigurationError
 
 _CARD = "flow_card"

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from rn_policy_cubes.recipe import STATE_HIGH, STATE_LOW, Size
+from rn_policy_cubes.recipe import STATE_HIGH, STATE_LOW, Size, TrainingRecipe
 
 FLOW_ROWS = 10
 """Actions of a chunk: one second, so that rows are left to continue when the next one begins."""
@@ -54,31 +54,11 @@ class FlowShape(BaseModel):
     """
 
 
-class FlowRecipe(BaseModel):
-    """Settings of the training. Two runs of one recipe over the same shards are bit-identical on
-    one machine.
-    """
-
-    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
+class FlowRecipe(TrainingRecipe):
+    """Settings of the training of the flow policy."""
 
     shape: FlowShape = FlowShape()
-    seed: int = 0
     shards: Annotated[int, Field(ge=2)] = 30
     """Shards of demonstrations; the last `held_out` of them are for measuring."""
-    held_out: Size = 1
-    steps: Size = 12_000
-    """Total number of optimiser steps."""
-    cool_down: Annotated[float, Field(ge=0, le=1)] = 0.3
-    """Fraction of the steps, at the end, over which the rate falls to zero."""
-    warm_up: Size = 100
-    rate: float = 2e-3
-    views: Size = 32
-    """Views per step; each gives one training pair for every colour."""
     samples: Size = 3
     """Flow times and noises per pair; the prefix is computed once for all of them."""
-    tokens: Size = 24
-    """Visual tokens of a training step, as in the other policy."""
-    full_from: Annotated[float, Field(ge=0, le=1)] = 0.97
-    """Fraction of the steps after which all visual tokens are used."""
-    full_views: Size = 8
-    """Views per step from then on."""
