@@ -121,9 +121,12 @@ class Cell:
 
     def follow_policy(self, draw: random.Random, *, is_new: bool) -> None:
         """Return at a random time at which the policy moves the arm; a new instruction is given if
-        `is_new`, or if the last one is completed.
+        `is_new`, or if the last one is completed. If four do not make it move, the arm is sent home
+        first.
         """
         for tries in range(8):
+            if tries == 4:
+                self._go_home()
             if is_new or tries:
                 self._instruct(f"pick up the {draw.choice(COLOURS)} cube")
                 time.sleep(1.0)
@@ -133,6 +136,15 @@ class Cell:
             if acted == {"policy"} and self.seen.moves(now_ns - 300_000_000):
                 return
         raise RuntimeError("The policy does not move the arm.")
+
+    def _go_home(self) -> None:
+        """Move the arm out of a posture that the policy cannot leave, such as a singularity to
+        which the person has led it.
+        """
+        self.do("take_over")
+        with suppress(RuntimeError):  # it may have stopped already
+            self.do("stop_inference")
+        self.do("move_to", name="home")
 
     def _instruct(self, text: str) -> None:
         self.do("take_over")

@@ -11,7 +11,6 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -37,7 +36,6 @@ class SentCommand:
         duration_s: time to reach `target`.
         target: float64 (n,) of the arm.
         measured: float64 (n,), where the arm was; empty if that is not known.
-        is_exact: whether the beginning is known.
         is_lost: control has given up the command before, as the arm did not follow it.
         is_hold: it was not computed for an action or a row: the limits do not apply.
     """
@@ -46,7 +44,6 @@ class SentCommand:
     duration_s: float
     target: F64
     measured: F64 = field(default_factory=lambda: np.zeros(0))
-    is_exact: bool = True
     is_lost: bool = False
     is_hold: bool = False
 
@@ -103,25 +100,19 @@ class Line:
 
 
 def noted(path: Path, since_ns: int) -> list[SentCommand]:
-    """Commands that takeover_plugin.py has noted since then; not the newest, whose time the next
-    one tells.
-    """
+    """Commands that takeover_plugin.py has noted since then."""
     rows = [json.loads(line) for line in path.read_text().splitlines() if line.endswith("}")]
-    found: list[SentCommand] = []
-    for row, after in pairwise(rows):
-        # between them control has held by itself: the time of that is told instead
-        is_exact = after["before_ns"] <= row["noted_ns"]
-        one = SentCommand(
-            at_ns=after["before_ns"] if is_exact else row["noted_ns"],
-            is_exact=is_exact,
+    return [
+        SentCommand(
+            at_ns=row["at_ns"],
             is_lost=row["is_lost"],
             duration_s=row["duration_s"],
             target=np.array(row["target"]),
             measured=np.array(row["measured"]),
         )
-        if one.at_ns >= since_ns:
-            found.append(one)
-    return found
+        for row in rows
+        if row["at_ns"] >= since_ns
+    ]
 
 
 def in_order(
@@ -175,9 +166,6 @@ def judged(commands: Sequence[SentCommand], limits: JointLimits) -> list[Judged]
             line = Line(begun=command, start=command.measured)
             continue
         start, before = line.at(passed_s, limits.acceleration)
-        if not line.begun.is_exact:
-            line = Line(begun=command, start=start)
-            continue
         if line.begun.is_hold:
             passed_s += HELD_S
         time_s = max(_SHORTEST_S, min(passed_s, command.duration_s))

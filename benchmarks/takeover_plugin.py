@@ -1,10 +1,14 @@
 """Notes each command of control after its limits, with the time and the measured posture for which
 it was computed.
+
+The time is the one that the limits used. One that is read beside it is late by as long as the
+process is kept from running in between: 3 ms in a trial, which looked like 1.16 of the limit.
 """
 
 from __future__ import annotations
 
 import json
+import threading
 import time
 from pathlib import Path
 
@@ -29,17 +33,22 @@ class CommandNotes:
         control.node.resources.callback(self._lines.close)
         self._control = control
         self._offset_ns = time.time_ns() - time.monotonic_ns()
+        self._read_clock, self._newest = control.clock, threading.local()
+        control.clock = self._clock
+
+    def _clock(self) -> float:
+        # a hold reads it in another thread
+        self._newest.at_s = at_s = self._read_clock()
+        return at_s
 
     def note(self, limited: LimitedCommand) -> None:
         """Called once the limits were applied, before the command is sent."""
-        command, control, now_s = limited.command, self._control, time.monotonic()
+        command, control = limited.command, self._control
         joints = control.watched.joints
         if not isinstance(command, JointCommand) or joints is None:
             return
-        # the time of this one is told by the next: control notes it after the limits
         row = {
-            "noted_ns": round(now_s * 1e9) + self._offset_ns,
-            "before_ns": round(control.action_s * 1e9) + self._offset_ns,
+            "at_ns": round(self._newest.at_s * 1e9) + self._offset_ns,
             "is_lost": limited.reference_lost,
             "duration_s": command.duration_s,
             "target": self._arm(command.names, command.position),

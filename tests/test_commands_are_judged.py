@@ -108,14 +108,14 @@ def test_a_hold_in_motion_tells_the_velocity_that_it_ended() -> None:
     assert found[-1].held_rad_s == pytest.approx(0.5)
 
 
-def test_the_time_of_a_command_is_told_by_the_next_note(tmp_path: Path) -> None:
-    def row(noted: int, before: int, target: float) -> str:
-        told = {"noted_ns": noted, "before_ns": before, "is_lost": False, "duration_s": 0.02}
+def test_notes_are_read_up_to_a_line_that_is_still_being_written(tmp_path: Path) -> None:
+    def row(at: int, target: float) -> str:
+        told = {"at_ns": at, "is_lost": False, "duration_s": 0.02}
         return json.dumps({**told, "target": [target], "measured": [0.0]})
 
     file = tmp_path / "notes"
-    # the third: control has held by itself since
-    file.write_text("\n".join([row(12, 3, 1.0), row(23, 10, 2.0), row(35, 30, 3.0)]) + '\n{"no')
-    first, second = noted(file, 0)
-    assert (first.at_ns, first.is_exact) == (10, True)
-    assert (second.at_ns, second.is_exact) == (23, False)
+    file.write_text("\n".join([row(12, 1.0), row(23, 2.0), row(35, 3.0)]) + '\n{"no')
+    assert [(one.at_ns, one.target.tolist()) for one in noted(file, 20)] == [
+        (23, [2.0]),
+        (35, [3.0]),
+    ]

@@ -29,6 +29,8 @@ controller = "urdf"
 name = "person"
 lower_m = [0.22, 0.12, 0.0]
 upper_m = [0.40, 0.30, 0.7]
+[preview]
+limit_s = 60.0
 [supervisor]
 state_directory = "{state}"
 """
@@ -49,6 +51,13 @@ for kind, topic in (
 print("up", flush=True)
 rclpy.spin(node)
 """
+HOLDS = {"kind": "gripper_holds", "least_open": 0.15, "most_open": 0.85}
+PLACES: tuple[tuple[int, dict[str, float]], ...] = (
+    (3, {"dx_m": 0.05, "dy_m": -0.12}),
+    (4, {"dx_m": -0.06, "dy_m": -0.1, "height_m": 0.12}),
+    (5, {"dx_m": 0.4}),
+)
+"""Scene, and where its red cube is put; the last place is out of reach."""
 NEAR_M = 0.004
 """Two millimetres each for the end of move_ee in the twin and in the cell."""
 
@@ -122,5 +131,44 @@ def test_previews_publish_nothing_and_come_true(
             assert np.abs(await joints() - start).max() < 1e-3
             assert lines() == still
             await do("stop_all")
+
+    anyio.run(scenario)
+
+
+@pytest.mark.timeout(600)
+def test_a_place_ends_as_its_preview_has_told(tmp_path: Path, environment: dict[str, str]) -> None:
+    config = tmp_path / "roboneuron.toml"
+    config.write_text(CONFIG.format(state=tmp_path / "state"))
+    command = ["-m", "roboneuron.cli.main", "serve", "--config", str(config)]
+
+    async def scenario() -> None:
+        server = StdioServerParameters(command=sys.executable, args=command, env=environment)
+        async with Client(server, read_timeout_seconds=120.0) as client:
+
+            async def do(tool: str, **arguments: Any) -> dict[str, Any]:
+                answer = await client.call_tool(tool, arguments)
+                assert not answer.is_error, answer.content
+                result: dict[str, Any] = answer.structured_content
+                return result
+
+            for seed, place in PLACES:
+                await do("start_robot", options={"seed": seed})
+                await do("start_all")
+                until = {"kind": "held", "for_s": 0.5, "of": HOLDS}
+                picked = await do("run_task", instruction="pick up the red cube", until=until)
+                assert picked["outcome"] == "succeeded"
+                await do("stop_inference")
+                told = await do("place", **place, preview=True)
+                happened = await client.call_tool("place", place)
+                assert happened.is_error is (told["outcome"] != "reached"), (told, happened)
+                if not happened.is_error:
+                    pose = (await do("read_ee_pose"))["messages"][0]["pose"]["position"]
+                    end_m = [pose["x"], pose["y"], pose["z"]]
+                    assert np.linalg.norm(np.subtract(end_m, told["position_m"])) < NEAR_M
+                    assert told["collides_with"] == ["red cube"]
+                    assert happened.structured_content["holding"] is False
+                else:
+                    assert told["reason"]
+                await do("stop_all")
 
     anyio.run(scenario)
