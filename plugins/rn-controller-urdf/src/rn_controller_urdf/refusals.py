@@ -215,8 +215,8 @@ def check_step(step: list[float], bounds: tuple[JointBounds, ...]) -> Hold | Non
                 code=JOINT_JUMP,
                 reason=f"Joint {joint.name!r} would move {change:.3f} {joint.unit} in one step, "
                 f"at most {joint.step:g} "
-                f"{joint.unit} is allowed; the arm is close to a singularity or a limit. A policy "
-                "cannot leave it: move the arm away with move_joints or move_to.",
+                f"{joint.unit} is allowed; the arm is close to a singularity or a limit. If "
+                "the policy cannot leave it, move the arm away with move_joints or move_to.",
             )
     return None
 
