@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,9 @@ from rn_simulation.scene_state import TOPIC, SceneState, from_message
 from rn_standard.teleoperation.rows import Acting
 from rn_testing.waiting import holds_within, wait_until
 from roboneuron import JointSample, matrix_from_quaternion
+
+if TYPE_CHECKING:
+    from std_msgs.msg import Float64MultiArray
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "plugins" / "rn-view" / "tests"))
 from lead_client import LeadPage
@@ -98,18 +102,18 @@ class Truth:
             row["cube_yaw_rad"][index] = yaw_of(matrix_from_quaternion(cube[3:]))
         return row
 
-    def lifted_m(self, colour: str) -> dict[str, float]:
-        """Height of each cube above its place on the table; `colour` is only for `row`."""
-        row = self.row(colour)
+    def lifted_m(self) -> dict[str, float]:
+        """Height of each cube above its place on the table. Raises as `row`."""
+        row = self.row(COLOURS[0])
         heights = row["cube_m"][:, 2] - row["edge_m"] / 2
         return dict(zip(COLOURS, heights.tolist(), strict=True))
 
-    def _take(self, message: object) -> None:
-        self._state = from_message(message, self._counts)  # type: ignore[arg-type]
+    def _take(self, message: Float64MultiArray) -> None:
+        self._state = from_message(message, self._counts)
         self._at_s = time.monotonic()
 
-    def _note(self, message: object) -> None:
-        self.who = Acting.from_message(message).who  # type: ignore[arg-type]
+    def _note(self, message: Float64MultiArray) -> None:
+        self.who = Acting.from_message(message).who
 
 
 class CorrectingPerson:
@@ -168,7 +172,8 @@ class CorrectingPerson:
                 twist[2] = -min(_REST_M_S, 2.0 * down_m)
             elif phase == 2:
                 to_home[:2] *= row["tcp_m"][2] > _CLEAR_M
-                twist[:3] = to_home * min(3.0, _HAND_M_S / max(np.linalg.norm(to_home), 1e-9))
+                far_m = max(float(np.linalg.norm(to_home)), 1e-9)
+                twist[:3] = to_home * min(3.0, _HAND_M_S / far_m)
             return twist, float(phase > 0)
 
         return self._lead(colour, lower, PUT_DOWN_S)
@@ -230,13 +235,13 @@ def policy_holds(truth: Truth, colour: str, within_s: float, for_s: float) -> bo
     """Whether the policy acts again and keeps the cube lifted for a time."""
 
     def holds() -> bool:
-        return truth.who == "policy" and truth.lifted_m(colour)[colour] > LIFTED_M - 0.02
+        return truth.who == "policy" and truth.lifted_m()[colour] > LIFTED_M - 0.02
 
     if not holds_within(holds, within_s, poll_s=0.02):
         return False
     end_s = time.monotonic() + for_s
     while time.monotonic() < end_s:
-        if truth.lifted_m(colour)[colour] < LIFTED_M - 0.02:
+        if truth.lifted_m()[colour] < LIFTED_M - 0.02:
             return False
         time.sleep(0.02)
     return True

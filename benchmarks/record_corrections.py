@@ -137,7 +137,7 @@ def why_it_fails(truth: Truth, colour: str) -> str:
     held_s = shut_s = 0.0
     place = truth.row(colour)["tcp_m"]
     while (now_s := time.monotonic()) < end_s:
-        row, lifted = truth.row(colour), truth.lifted_m(colour)
+        row, lifted = truth.row(colour), truth.lifted_m()
         held_s = (held_s or now_s) if lifted[colour] > LIFTED_M else 0.0
         if held_s:
             # a lift that has begun in time may end

@@ -36,7 +36,7 @@ class Scene:
             self.row_now["tcp_m"][0] += 0.1
         return self.row_now.copy()
 
-    def lifted_m(self, colour: str) -> dict[str, float]:
+    def lifted_m(self) -> dict[str, float]:
         row = self.row_now
         heights = row["cube_m"][:, 2] - row["edge_m"] / 2
         return dict(zip(COLOURS, heights.tolist(), strict=True))
