@@ -287,7 +287,10 @@ def report(rows: list[dict[str, Any]]) -> None:
 
 
 def export(out: Path, rows: list[dict[str, Any]]) -> None:
-    """Write the data set of the corrected episodes; an earlier one must be deleted first."""
+    """Write the data set of the corrected episodes, unless there is one."""
+    if (out / DATA_SET).exists():
+        print(f"{out / DATA_SET} exists; delete it to export again")
+        return
     words = ["runs", "--directory", str(out / RUNS), "export", *[row["run"] for row in rows]]
     words += ["--lerobot", str(out / DATA_SET), "--outcome", "success", "--codec", "h264"]
     # status 1 means that incomplete episodes were left out, which it says
@@ -330,7 +333,7 @@ def main() -> int:
     report(ledger.rows)
     if ledger.count >= arguments.episodes:
         export(arguments.out, ledger.corrected)
-    return 0
+    return 0 if (arguments.out / DATA_SET).exists() else 1
 
 
 if __name__ == "__main__":
