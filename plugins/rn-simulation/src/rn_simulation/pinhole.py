@@ -72,7 +72,7 @@ class PinholeCamera:
             calibration=self.calibration(width, height),
         )
 
-    def displaced(self, offset_m: Sequence[float]) -> PinholeCamera:
+    def displaced(self, offset_m: Sequence[float] | F64) -> PinholeCamera:
         """The camera moved by an offset (3,) in the base frame [m]; one on a hand stays."""
         if self.mount.endswith("tcp"):
             return self
