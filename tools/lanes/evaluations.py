@@ -108,8 +108,15 @@ def eval_libero(session: nox.Session) -> None:
 
 @lane
 def improve_cubes(session: nox.Session) -> None:
-    """one round for the learned policy: rollouts, training, champion against challenger"""
-    roboneuron(session, "cubes-policy", "improve", *session.posargs)
+    """one round for the learned policy: rollouts, training, champion against challenger;
+    CORRECTIONS=40: first record so many corrections of a policy whose camera is displaced
+    """
+    words: list[str] = []
+    if wanted := os.environ.get("CORRECTIONS", ""):
+        python(session, "benchmarks/record_corrections.py", "--episodes", wanted)
+        words += ["--corrections", "out/corrections/data-set"]
+        words += ["--suite-option", "displaced_m=[0.06,-0.03,0]"]
+    roboneuron(session, "cubes-policy", "improve", *words, *session.posargs)
 
 
 @lane

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from rn_eval.contract_cases import cubes_case
+from rn_eval.cubes import Cubes, CubesOptions
 from rn_eval.domain_shift import CAMERA_SHIFT_M, LIGHT_GAIN, NOISE_LEVELS, DomainShift, Shift
 from rn_robot_fr3.cameras import cameras
 from rn_robot_fr3.simulation import ArmSimulation
@@ -54,3 +56,21 @@ def test_light_and_noise_are_as_strong_as_they_say() -> None:
     is_inside = (plain > 40) & (plain < 215)
     error = (seen("noise", "front") - plain)[is_inside]
     assert error.std() == pytest.approx(NOISE_LEVELS, rel=0.05)
+
+
+def test_a_displaced_camera_is_elsewhere_in_every_episode_unknown_to_the_policy() -> None:
+    offset_m, setup = (0.06, -0.03, 0.0), cubes_case().make_setup()
+    suite = Cubes(CubesOptions(displaced_m=offset_m, image_px=SIDE_PX))
+    for episode in suite.episodes(2, SEED):
+        scene = suite.open(episode, setup)
+        try:
+            frames = scene.observe(0).frames
+        finally:
+            scene.close()
+        seen_from = [camera.displaced(offset_m) for camera in cameras()]
+        with ArmSimulation(episode.seed, cameras=seen_from) as simulation:
+            for frame, camera in zip(frames.values(), cameras(), strict=True):
+                wanted = simulation.render(camera.name, SIDE_PX, SIDE_PX)
+                assert np.array_equal(frame.image, wanted)
+                assert frame.calibration is not None
+                assert np.array_equal(frame.calibration.T_mount_camera, camera.T_mount_camera)

@@ -8,6 +8,7 @@ import random
 import signal
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +28,7 @@ from rn_policy_cubes.packing import Card, Packed
 from rn_policy_cubes.recipe import Recipe
 from rn_policy_cubes.rollouts import Student, write_rollouts
 from rn_policy_cubes.words import write_tokenizer
-from roboneuron import ConfigurationError, StateError
+from roboneuron import ConfigurationError, PluginError, StateError
 
 pytest.importorskip("rn_eval")
 
@@ -60,7 +61,13 @@ def judged(monkeypatch: pytest.MonkeyPatch) -> list[tuple[int, ...]]:
     turns = iter(range(len(solved)))
 
     def evaluate(
-        checkpoint: Path, out: Path, *, first_seed: int, count: int, time_limit_s: float
+        checkpoint: Path,
+        out: Path,
+        *,
+        first_seed: int,
+        count: int,
+        time_limit_s: float,
+        suite_options: Sequence[str],
     ) -> dict[int, bool]:
         assert (checkpoint / "config.json").exists()
         chosen = solved[next(turns)]
@@ -112,6 +119,46 @@ def test_a_worse_challenger_is_not_promoted_but_what_it_learnt_from_is_kept(
     for number in (10_000, 20_000):
         rows, _ = shard_files(tmp_path / "out" / "demonstrations", number)
         assert len(np.load(rows)) == plan.views
+
+
+@pytest.mark.parametrize(
+    ("ordinary", "elsewhere", "is_promoted"),
+    [
+        (((0, 1), (0, 1)), ((0,), (0, 1)), True),
+        (((0, 1), (0,)), ((0,), (0, 1, 2)), False),
+        (((0,), (0, 1)), ((0, 1), (0,)), False),
+    ],
+)
+def test_a_policy_is_promoted_if_it_is_worse_neither_on_ordinary_scenes_nor_elsewhere(
+    judged: list[tuple[int, ...]],
+    weights: Path,
+    plan: RoundPlan,
+    tmp_path: Path,
+    ordinary: tuple[tuple[int, ...], ...],
+    elsewhere: tuple[tuple[int, ...], ...],
+    is_promoted: bool,
+) -> None:
+    plan = plan.model_copy(update={"suite_options": ("shift=light",)})
+    # the champion elsewhere comes first, so that a wrong option fails before the training
+    judged[:5] = [elsewhere[0], *ordinary, *elsewhere]
+    wheel = turn(tmp_path / "out", weights, plan)
+    assert (wheel.champion == 1) is is_promoted
+    evaluated = wheel.ledger.of(1, "evaluated")
+    assert evaluated is not None
+    found = [
+        (evaluated[name]["champion"], evaluated[name]["challenger"])
+        for name in ("test", "test_elsewhere")
+    ]
+    assert found == [tuple(map(len, ordinary)), tuple(map(len, elsewhere))]
+
+
+def test_an_option_that_the_suite_does_not_have_fails_before_the_training(
+    weights: Path, plan: RoundPlan, tmp_path: Path
+) -> None:
+    plan = plan.model_copy(update={"suite_options": ("no=1",)})
+    with pytest.raises(PluginError, match="scenes have no verdict"):
+        turn(tmp_path / "out", weights, plan)
+    assert [entry["what"] for entry in ImprovementLedger(tmp_path / "out").entries] == ["begun"]
 
 
 @pytest.mark.parametrize(

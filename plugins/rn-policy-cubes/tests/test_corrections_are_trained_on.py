@@ -23,7 +23,7 @@ from rn_policy_cubes.words import Prompts
 from roboneuron import InvalidInputError
 
 demonstration = pytest.importorskip("rn_recorder_policy.demonstration")
-FIRST, LAST, COUNT = 4, 15, 20
+FIRST, LAST, COUNT, RESTS = 4, 15, 20, 4
 GREEN = COLOURS.index("green")
 
 
@@ -31,7 +31,7 @@ def episode() -> demonstration.Demonstration:
     """Twenty rows; a person acts in rows 4 to 14, and rests in the last four of them."""
     action = np.tile([0.02, 0, -0.01, 0, 0, 0.1, 1.0], (COUNT, 1))
     action[:, 0] += 1e-3 * np.arange(COUNT)
-    action[LAST - 4 : LAST, :6] = 0.0
+    action[LAST - RESTS : LAST, :6] = 0.0
     led = ((np.arange(COUNT) >= FIRST) & (np.arange(COUNT) < LAST)).astype(float)
     pose = np.tile([0.5, 0.1, 0.2, 1.0, 0, 0, 0], (COUNT, 1))
     state = np.full((COUNT, 2), 0.02)
@@ -69,8 +69,8 @@ def dataset(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_a_correction_labels_the_named_cube_alone(dataset: Path, tmp_path: Path) -> None:
     name = take_corrections(tmp_path, dataset)
     (shards,) = corrections_in(tmp_path, [name])
-    # whole chunks in which the person moves the arm
-    chosen = range(FIRST, LAST - ROWS + 1)
+    # whole chunks in which the person rests in at most one row
+    chosen = range(FIRST, LAST - RESTS + 2 - ROWS)
     assert len(shards) == len(chosen)
     labels = shards.labels
     assert labels.known.sum() == len(chosen)
@@ -86,6 +86,31 @@ def test_a_correction_labels_the_named_cube_alone(dataset: Path, tmp_path: Path)
     # half open, at y = 0.1 of -0.35 .. 0.35
     assert labels.state[0, 6] == pytest.approx(0.0, abs=1e-6)
     assert labels.state[0, 1] == pytest.approx(0.1 / 0.35, abs=1e-6)
+
+
+def test_a_pause_of_the_person_is_no_correction(
+    dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    paused = episode()
+    # samples that came late: the arm is braked in every second row
+    paused.columns["action"].values[FIRST:LAST:2, :6] = 0.0
+    monkeypatch.setattr(corrections, "_episodes", lambda path: iter([paused]))
+    with pytest.raises(InvalidInputError, match="no row from which a person corrected"):
+        take_corrections(tmp_path, dataset)
+
+
+def test_a_gripper_that_closes_is_a_correction(
+    dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    closing = episode()
+    closing.columns["action"].values[FIRST:LAST, :6] = 0.0
+    closing.columns["action"].values[FIRST + 1 : LAST, 6] = 0.0
+    closing.columns["observation.state"].values[FIRST + 1 : LAST, 1] -= 0.002 * np.arange(10)
+    monkeypatch.setattr(corrections, "_episodes", lambda path: iter([closing]))
+    (shards,) = corrections_in(tmp_path, [take_corrections(tmp_path, dataset)])
+    # the opening changes until the row before the last one, and after the first one
+    assert len(shards) == LAST - FIRST - ROWS + 1
+    assert (shards.labels.actions[-1, GREEN, :, 6] == 0.0).all()
 
 
 def test_the_same_data_set_is_taken_once(

@@ -49,7 +49,7 @@ def opened(topics: MemoryTopics) -> Iterator[Open]:
     made = []
 
     def make(
-        *, names: tuple[str, ...] = ("front", "wrist"), **options: float
+        *, names: tuple[str, ...] = ("front", "wrist"), **options: object
     ) -> SimulatedFr3Cameras:
         chosen = tuple(camera for camera in profile().cameras if camera.name in names)
         source = SimulatedFr3Cameras(
@@ -83,6 +83,23 @@ def test_twin_draws_the_same_pixels_as_the_physics(
                 assert np.abs(frame.image - wanted).mean() < 0.05
                 assert frame.stamp_ns == 1000 + seed
                 assert frame.calibration is not None
+
+
+def test_a_displaced_camera_shows_what_its_calibration_does_not_know(
+    topics: MemoryTopics, opened: Open
+) -> None:
+    offset_m = (0.06, -0.03, 0.0)
+    source = opened(rate_hz=60, displaced_m=offset_m)
+    seen_from = [camera.displaced(offset_m) for camera in cameras()]
+    with ArmSimulation(0, cameras=seen_from) as simulation:
+        topics.deliver(TOPIC, to_message(state_of(simulation, 1000)))
+        for camera in cameras():
+            frame = source.read(10.0)
+            wanted = simulation.render(frame.camera).astype(float)
+            # as above
+            assert np.abs(frame.image - wanted).mean() < 0.05
+            assert frame.calibration is not None
+            assert np.array_equal(frame.calibration.T_mount_camera, camera.T_mount_camera)
 
 
 def test_cameras_take_turns_and_show_the_newest_state(topics: MemoryTopics, opened: Open) -> None:

@@ -10,7 +10,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, model_validator
 
 from rn_eval.arm import DeployedArm
 from rn_eval.domain_shift import DomainShift, Shift
@@ -76,6 +76,11 @@ class CubesOptions(BaseModel):
     shift: Shift = Field(
         default="none",
         description="what differs from training: camera beside the table, light, table, noise",
+    )
+    displaced_m: tuple[FiniteFloat, FiniteFloat, FiniteFloat] = Field(
+        default=(0.0, 0.0, 0.0),
+        description="where the camera beside the table is in every episode, relative to its "
+        "calibration, in the base frame [m]",
     )
 
     @model_validator(mode="after")
@@ -181,12 +186,13 @@ class CubesScene:
         self._arm = DeployedArm(setup, setup.controller)
         self._poses = poses_of(setup.controller)
         self._shift = DomainShift(options.shift, episode.seed)
+        cameras = [camera.displaced(options.displaced_m) for camera in cell_cameras(self.cell)]
         self._simulation = ArmSimulation(
             episode.seed,
             colours=colours,
             engine=options.engine,
             cell=self.cell,
-            cameras=self._shift.cameras(cell_cameras(self.cell)),
+            cameras=self._shift.cameras(cameras),
         )
         self._simulation.open()
         self._turned_rad = self._turn_to_target()

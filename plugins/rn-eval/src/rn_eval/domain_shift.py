@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -45,14 +44,8 @@ class DomainShift:
         if self.kind != "camera":
             return tuple(cameras)
         way = self._random.normal(size=3)
-        moved = np.eye(4)
-        moved[:3, 3] = CAMERA_SHIFT_M * way / np.linalg.norm(way)
-        return tuple(
-            camera
-            if camera.mount.endswith("tcp")
-            else replace(camera, T_mount_camera=moved @ camera.T_mount_camera)
-            for camera in cameras
-        )
+        offset_m = CAMERA_SHIFT_M * way / np.linalg.norm(way)
+        return tuple(camera.displaced(offset_m) for camera in cameras)
 
     def image(self, image: U8) -> U8:
         """Simulated sensor output for a rendered image, uint8 (H, W, 3) RGB."""

@@ -123,6 +123,13 @@ def _configure_improve(parser: ArgumentParser) -> None:
         ("seeds", 40, "unseen scenes of the evaluation"),
     ):
         add(f"--{name}", type=int, default=default, help=f"{text} (default: %(default)s)")
+    add(
+        "--suite-option",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="evaluate on scenes with this option too, as of `roboneuron eval run`; repeatable",
+    )
     add("--time-limit", type=float, default=30.0, metavar="S", help="of a scene [s] (default: 30)")
     add(
         "--set",
@@ -142,7 +149,7 @@ def _improve(arguments: Namespace) -> int:
     from pydantic import ValidationError
 
     from rn_policy_cubes.improvement_ledger import alone_in
-    from rn_policy_cubes.improving import RoundPlan, Wheel, recipe_of_round
+    from rn_policy_cubes.improving import ELSEWHERE, RoundPlan, Wheel, recipe_of_round
     from rn_policy_cubes.weights import shipped_weights
 
     torch.set_num_threads(arguments.threads)
@@ -153,15 +160,18 @@ def _improve(arguments: Namespace) -> int:
             views=arguments.views,
             seeds=arguments.seeds,
             time_limit_s=arguments.time_limit,
+            suite_options=tuple(arguments.suite_option),
         )
     except ValidationError as error:
         raise wrong_value(error) from None
     with alone_in(arguments.out):
         wheel = Wheel(arguments.out, say, fuse=arguments.fuse)
         number = wheel.begin(arguments.weights or shipped_weights(), plan, arguments.corrections)
-        test = wheel.run(number)
+        tests = wheel.run(number)
         is_promoted = wheel.champion == number
-        say(f"round {number}, {test.seeds} unseen scenes: {test}")
+        for name, test in tests.items():
+            options = plan.suite_options if name == ELSEWHERE else ()
+            say(f"round {number}, {' '.join([f'{test.seeds} unseen scenes', *options])}: {test}")
         say("the challenger is promoted" if is_promoted else "it is worse: the champion stays")
         say(f"the champion: {wheel.checkpoint(wheel.champion)}")
     return 0

@@ -30,7 +30,13 @@ _POSE, _STATE = "observation.ee_pose", "observation.state"
 _RATE_SHARE = 0.2
 """Relative difference of a data set's rate from the policy's above which its actions differ."""
 _STILL_M, _STILL_RAD = 1e-4, 1e-3
-"""Commands below these values count as rest, which demonstrates nothing."""
+"""Commands below these values count as rest."""
+_MOVING_OPENING = 0.01
+"""Change of the opening within a row above which the gripper moves."""
+_MOST_RESTS = 1
+"""Most rows of a chunk in which neither arm nor gripper moves: a person who pauses, or whose
+samples come late, demonstrates nothing.
+"""
 
 
 def take_corrections(directory: Path, dataset: Path) -> str:
@@ -130,7 +136,15 @@ def _views(
         )
     actions = columns["action"].values
     led = columns["intervention"].values[:, 0] > 0.5
-    chosen = [first for first in range(len(led) - ROWS + 1) if _is_shown(first, led, actions)]
+    openings = _openings(demonstration)
+    acts = led & _moves(actions, openings)
+    starts = range(len(led) - ROWS + 1)
+    chosen = [
+        first
+        for first in starts
+        if led[first : first + ROWS].all()
+        and np.count_nonzero(acts[first : first + ROWS]) >= ROWS - _MOST_RESTS
+    ]
     pictures = demonstration.read_pictures(CAMERA, chosen) if chosen else []
     for first, picture in zip(chosen, pictures, strict=True):
         if picture.shape != (SIDE_PX, SIDE_PX, 3):
@@ -138,26 +152,23 @@ def _views(
                 f"Images of {source} are {picture.shape[1]}x{picture.shape[0]} px; the policy sees "
                 f"{SIDE_PX}x{SIDE_PX}."
             )
-        row = _state(demonstration, first)
+        row = _state(demonstration, first, float(openings[first]))
         row["target"] = COLOURS.index(named[0])
         yield row, picture, actions[first : first + ROWS]
 
 
-def _is_shown(first: int, led: NDArray[np.bool_], actions: F64) -> bool:
-    """True if a person controls the arm from this row on for a whole chunk, and moves it or the
-    gripper.
-    """
-    span = slice(first, first + ROWS)
-    move, gripper = actions[span], actions[max(0, first - 1) : first + ROWS, 6]
-    moves = (np.abs(move[:, :3]) > _STILL_M).any() or (np.abs(move[:, 3:6]) > _STILL_RAD).any()
-    return bool(led[span].all() and (moves or np.ptp(gripper) > 0.5))
+def _moves(actions: F64, openings: F64) -> NDArray[np.bool_]:
+    """True for the rows (n,) in which the arm or the gripper moves."""
+    arm = (np.abs(actions[:, :3]) > _STILL_M).any(axis=1)
+    arm |= (np.abs(actions[:, 3:6]) > _STILL_RAD).any(axis=1)
+    command, opening = actions[:, 6], openings
+    gripper = np.abs(np.diff(command, prepend=command[:1])) > 0.5
+    gripper |= np.abs(np.diff(opening, append=opening[-1:])) > _MOVING_OPENING
+    return np.asarray(arm | gripper)
 
 
-def _state(demonstration: Demonstration, number: int) -> NDArray[np.void]:
-    """The measured state in the form of a demonstration's row, of the dtype `ROW`, ()."""
-    row = np.zeros((), dtype=ROW)
-    pose = demonstration.columns[_POSE].values[number]
-    row["tcp_m"], row["rotation"] = pose[:3], matrix_from_quaternion(pose[3:7])
+def _openings(demonstration: Demonstration) -> F64:
+    """The measured opening of each row, float64 (n,)."""
     gripper, state = profile().gripper, demonstration.columns[_STATE]
     assert gripper is not None, "the FR3 has one"
     names = state.names or ()
@@ -165,5 +176,15 @@ def _state(demonstration: Demonstration, number: int) -> NDArray[np.void]:
         raise InvalidInputError(
             f"{demonstration.source} has no joint {gripper.joint}; it is from another robot."
         )
-    row["opening"] = gripper.to_opening(float(state.values[number, names.index(gripper.joint)]))
+    return np.array(
+        [gripper.to_opening(float(value)) for value in state.values[:, names.index(gripper.joint)]]
+    )
+
+
+def _state(demonstration: Demonstration, number: int, opening: float) -> NDArray[np.void]:
+    """The measured state in the form of a demonstration's row, of the dtype `ROW`, ()."""
+    row = np.zeros((), dtype=ROW)
+    pose = demonstration.columns[_POSE].values[number]
+    row["tcp_m"], row["rotation"] = pose[:3], matrix_from_quaternion(pose[3:7])
+    row["opening"] = opening
     return row

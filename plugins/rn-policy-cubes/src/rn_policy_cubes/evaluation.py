@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,10 +22,16 @@ runpy.run_module("roboneuron.cli.main", run_name="__main__", alter_sys=True)
 
 
 def evaluate(
-    checkpoint: Path, out: Path, *, first_seed: int, count: int, time_limit_s: float
+    checkpoint: Path,
+    out: Path,
+    *,
+    first_seed: int,
+    count: int,
+    time_limit_s: float,
+    suite_options: Sequence[str] = (),
 ) -> dict[int, bool]:
     """Evaluate a checkpoint with `roboneuron eval run`, in its own process that resumes an
-    interrupted run; returns success by seed.
+    interrupted run; returns success by seed. `suite_options` are further ones, NAME=VALUE.
 
     Raises:
         PluginError: it has failed, or an episode has crashed.
@@ -33,6 +40,7 @@ def evaluate(
     words += ["--config", str(checkpoint / CONFIGURATION_FILE), "--out", str(out)]
     words += ["--episodes", str(count), "--seed", str(first_seed), "--strips", "none"]
     words += ["--suite-option", f"time_limit_s={time_limit_s}", "--retry-errors"]
+    words += [word for option in suite_options for word in ("--suite-option", option)]
     done = subprocess.run([sys.executable, "-P", "-c", _CHILD, *words], check=False)
     ledger = out / "episodes.jsonl"
     lines = ledger.read_text(encoding="utf-8").splitlines() if ledger.exists() else []

@@ -43,6 +43,10 @@ EVALUATION_SEED, SEEDS_PER_ROUND = 100_000, 1000
 share no scenes with each other or with demonstrations.
 """
 _CHAMPION, _CHALLENGER = "champion", "challenger"
+ORDINARY, ELSEWHERE = "test", "test_elsewhere"
+"""Comparisons of a round, by their name in the ledger: on ordinary scenes, and on the same ones
+with the options of the suite in the plan.
+"""
 
 
 class RoundPlan(BaseModel):
@@ -55,6 +59,7 @@ class RoundPlan(BaseModel):
         seeds: number of unseen scenes for the evaluation of champion and challenger.
         time_limit_s: time limit of each scene [simulated s].
         corrections: names of the data sets with human corrections added in this round.
+        suite_options: options of the suite, NAME=VALUE, of a second evaluation; empty for none.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -65,6 +70,7 @@ class RoundPlan(BaseModel):
     seeds: int = Field(ge=1, le=SEEDS_PER_ROUND)
     time_limit_s: float = Field(default=30.0, gt=0)
     corrections: tuple[str, ...] = ()
+    suite_options: tuple[str, ...] = ()
 
 
 def recipe_of_round(shards: int, steps: int, settings: Mapping[str, object]) -> Recipe:
@@ -140,8 +146,9 @@ class Wheel:
             )
         return wanted
 
-    def run(self, number: int) -> PairedTest:
-        """Complete a round; returns the comparison of champion and challenger.
+    def run(self, number: int) -> dict[str, PairedTest]:
+        """Complete a round; returns the comparisons of champion and challenger: `ORDINARY`, and
+        `ELSEWHERE` if the plan has options of the suite.
 
         Raises:
             PluginError: the evaluation has failed.
@@ -152,14 +159,18 @@ class Wheel:
         assert begun is not None, "a round is worked at once it has begun"
         champion = int(begun["champion"])
         self._say(f"round {number}: the champion is {self._title(champion)}")
+        if plan.suite_options and self.ledger.of(number, TRAINED) is None:
+            # a wrong option fails before the training
+            self._solved(number, plan, _CHAMPION, champion, ELSEWHERE)
         record(self._data, plan.recipe.shards, workers=1, say=self._say, views=plan.views)
         self._roll_out(number, plan, champion)
         self._train(number, plan, champion)
-        test = self._evaluate(number, plan, champion)
+        tests = self._evaluate(number, plan, champion)
         if self.ledger.of(number, PROMOTED) is None and self.ledger.of(number, KEPT) is None:
-            is_worse = test.challenger < test.champion
-            self.ledger.add(number, KEPT if is_worse else PROMOTED, {"difference": test.difference})
-        return test
+            is_worse = any(test.challenger < test.champion for test in tests.values())
+            difference = tests[ORDINARY].difference
+            self.ledger.add(number, KEPT if is_worse else PROMOTED, {"difference": difference})
+        return tests
 
     def roll_back(self) -> tuple[int, int]:
         """Restore the previous champion; returns the rounds of the removed champion and of the
@@ -235,25 +246,36 @@ class Wheel:
             packed.write(unfinished)
         self.ledger.add(number, TRAINED, {"step": training.step, "figures": packed.card.figures})
 
-    def _evaluate(self, number: int, plan: RoundPlan, champion: int) -> PairedTest:
+    def _evaluate(self, number: int, plan: RoundPlan, champion: int) -> dict[str, PairedTest]:
+        names = (ORDINARY, ELSEWHERE) if plan.suite_options else (ORDINARY,)
         found = self.ledger.of(number, EVALUATED)
         if found is not None:
-            return PairedTest(**found["test"])
-        verdicts = []
-        for who, policy in ((_CHAMPION, champion), (_CHALLENGER, number)):
-            self._say(f"evaluation of the {who} on {plan.seeds} unseen scenes")
-            verdicts.append(
-                evaluate(
-                    self.checkpoint(policy),
-                    self._folder(number) / "evaluation" / who,
-                    first_seed=evaluation_seed(number),
-                    count=plan.seeds,
-                    time_limit_s=plan.time_limit_s,
-                )
-            )
-        test = paired(*verdicts)
-        self.ledger.add(number, EVALUATED, {"test": asdict(test)})
-        return test
+            return {name: PairedTest(**found[name]) for name in names}
+        tests = {}
+        for name in names:
+            verdicts = [
+                self._solved(number, plan, who, policy, name)
+                for who, policy in ((_CHAMPION, champion), (_CHALLENGER, number))
+            ]
+            tests[name] = paired(*verdicts)
+        self.ledger.add(number, EVALUATED, {name: asdict(test) for name, test in tests.items()})
+        return tests
+
+    def _solved(
+        self, number: int, plan: RoundPlan, who: str, policy: int, name: str
+    ) -> dict[int, bool]:
+        """Success by seed of a policy; an evaluation that is complete is read."""
+        options = plan.suite_options if name == ELSEWHERE else ()
+        self._say(" ".join([f"evaluation of the {who} on {plan.seeds} unseen scenes", *options]))
+        folder = "elsewhere" if name == ELSEWHERE else "evaluation"
+        return evaluate(
+            self.checkpoint(policy),
+            self._folder(number) / folder / who,
+            first_seed=evaluation_seed(number),
+            count=plan.seeds,
+            time_limit_s=plan.time_limit_s,
+            suite_options=options,
+        )
 
     def _plan(self, number: int) -> RoundPlan:
         begun = self.ledger.of(number, BEGUN)

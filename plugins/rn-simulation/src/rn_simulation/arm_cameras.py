@@ -34,7 +34,9 @@ class SimulatedArmCameras(StateCameras[SceneState]):
         """Store the arguments; `cameras` are profiles of the robot's cameras. The twin is built
         from the first state.
         """
-        super().__init__(config or SimulatedCamerasOptions(), topics, cameras)
+        options = config or SimulatedCamerasOptions()
+        super().__init__(options, topics, cameras)
+        self._displaced_m = options.displaced_m
         self._twin: ArmWorld | None = None
         self._scene: tuple[object, ...] | None = None
 
@@ -58,7 +60,9 @@ class SimulatedArmCameras(StateCameras[SceneState]):
         twin.set_joints(state.joints.tolist())
         poses = zip(state.cubes, state.cube_poses.tolist(), strict=True)
         twin.set_cubes({name: (pose[:3], pose[3:]) for (name, _), pose in poses})
-        return twin.render(camera.calibration(*size), *size)
+        # the published calibration stays that of the undisplaced camera
+        seen_from = camera.displaced(self._displaced_m)
+        return twin.render(seen_from.calibration(*size), *size)
 
     def _twin_for(self, state: SceneState) -> ArmWorld:
         scene = (state.robot, state.engine, state.seed, state.cubes)

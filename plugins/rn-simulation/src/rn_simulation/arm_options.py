@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, field_validator
 
 from rn_simulation.cubes import DEFAULT_COLOURS, check_colours
 from roboneuron import ConfigurationError
@@ -54,3 +54,8 @@ class SimulatedCamerasOptions(BaseModel):
     )
     width: int = Field(default=224, ge=32, le=1280, description="Image width [px].")
     height: int = Field(default=224, ge=32, le=960, description="Image height [px].")
+    displaced_m: tuple[FiniteFloat, FiniteFloat, FiniteFloat] = Field(
+        default=(0.0, 0.0, 0.0),
+        description="Where the cameras beside the table are, relative to their calibration, in the "
+        "base frame [m].",
+    )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,6 +71,14 @@ class PinholeCamera:
             height=height,
             calibration=self.calibration(width, height),
         )
+
+    def displaced(self, offset_m: Sequence[float] | F64) -> PinholeCamera:
+        """The camera moved by an offset (3,) in the base frame [m]; one on a hand stays."""
+        if self.mount.endswith("tcp"):
+            return self
+        pose = self.T_mount_camera.copy()
+        pose[:3, 3] += offset_m
+        return replace(self, T_mount_camera=pose)
 
 
 UP = np.array([0.0, 0.0, 1.0])
