@@ -12,6 +12,7 @@ class TestOft(BackendContract):
         return oft_case()
 
 
+@pytest.mark.sampled(every=4)
 class TestOftPrimary(BackendContract):
     @pytest.fixture
     def plugin(self) -> BackendCase:

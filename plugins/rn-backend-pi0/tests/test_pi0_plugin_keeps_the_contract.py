@@ -36,10 +36,11 @@ class TestNative(BackendContract):
         )
 
 
+@pytest.mark.sampled(every=4)
 class TestFast(BackendContract):
     """The backend of pi0-FAST with a tiny checkpoint."""
 
-    @pytest.fixture
+    @pytest.fixture(scope="class")
     def plugin(self) -> BackendCase:
         return fast_case()
 

@@ -117,7 +117,7 @@ def test_a_worse_challenger_is_not_promoted_but_what_it_learnt_from_is_kept(
 @pytest.mark.parametrize(
     "what",
     [
-        "trained",
+        pytest.param("trained", marks=pytest.mark.exhaustive),
         *(
             pytest.param(word, marks=pytest.mark.slow)
             for word in ("begun", "rolled_out", "evaluated", "promoted")

@@ -128,6 +128,7 @@ def test_a_page_is_no_server(page: str, capsys: pytest.CaptureFixture[str]) -> N
 
 
 @pytest.mark.ros
+@pytest.mark.exhaustive
 def test_an_instruction_without_an_object_ends_the_demo_with_one_line(
     tmp_path: Path, free_domain: str
 ) -> None:
