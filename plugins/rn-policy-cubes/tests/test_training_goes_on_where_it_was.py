@@ -23,6 +23,7 @@ def run(recipe: Recipe, directory: Path, shards: Path, until: int | None = None)
     return train(recipe, directory, shards, until=until, say=quiet, log_every=2, measure_every=4)
 
 
+@pytest.mark.exhaustive  # as that of the flow does
 def test_resuming_equals_an_uninterrupted_run(recipe: Recipe, shards: Path, tmp_path: Path) -> None:
     run(recipe, tmp_path / "whole", shards)
     for until in (1, 3, 5, None):
