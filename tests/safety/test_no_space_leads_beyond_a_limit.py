@@ -256,7 +256,7 @@ def make_loop(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
 @pytest.mark.parametrize(
     "chunks",
     [
-        30,
+        50,
         pytest.param(100, marks=pytest.mark.exhaustive),
         pytest.param(10_000, marks=pytest.mark.slow),
     ],

@@ -23,7 +23,6 @@ def run(recipe: Recipe, directory: Path, shards: Path, until: int | None = None)
     return train(recipe, directory, shards, until=until, say=quiet, log_every=2, measure_every=4)
 
 
-@pytest.mark.exhaustive  # as that of the flow does
 def test_resuming_equals_an_uninterrupted_run(recipe: Recipe, shards: Path, tmp_path: Path) -> None:
     run(recipe, tmp_path / "whole", shards)
     for until in (1, 3, 5, None):
@@ -51,7 +50,6 @@ def test_the_curve_tells_losses_and_held_out_figures(
     assert 0 <= figures[-1]["held_out_turn_rad"] <= math.pi / 4
 
 
-@pytest.mark.exhaustive  # as those of the flow do
 def test_losses_fall(recipe: Recipe, shards: Path, tmp_path: Path) -> None:
     longer = recipe.model_copy(update={"steps": 40, "full_from": 1.0, "cool_down": 0.0, "views": 8})
     train(longer, tmp_path, shards, say=quiet, log_every=10, measure_every=1000)
