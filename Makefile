@@ -38,7 +38,7 @@ SESSIONS = awk '/^def / && lane {sub("[(].*", "", $$2); gsub("_", "-", $$2); nam
   gsub(/^ *\"\"\"|\"\"\"$$/, ""); print name "\t" $$0} {lane = /^@lane/}' tools/lanes/*.py
 LANES := $(shell $(SESSIONS) | cut -f1)
 
-.PHONY: $(LANES) $(shell sed -nE 's/^([a-z0-9-]+):.*\#\#.*/\1/p' Makefile) FORCE
+.PHONY: $(LANES) $(shell sed -nE 's/^([a-z0-9-]+):.*\#\#.*/\1/p' Makefile) test-exhaustive-units test-exhaustive-ros FORCE
 
 help: ## show this list; what follows the empty line are sessions of noxfile.py
 	@grep -hE '^[a-z0-9-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 24
@@ -77,12 +77,17 @@ demo-so101: $(VENV)/.demo-so101 ## a simulated SO-101 picks up a cube, the simul
 demo-pair: $(VENV)/.demo ## two FR3s at one table: the left one hands a cube to the right one
 	@$(BIN)/python examples/demo_pair.py $(ARGS)
 
+HERE := not sourced and not peers and not gpu and not hardware and not slow and not release
+DEFAULT := not exhaustive and $(HERE)
+EXHAUSTIVE := exhaustive and $(HERE)
+UNITS = -n $(UNIT_JOBS) --dist worksteal --max-worker-restart=0
+ROS = -n $(ROS_JOBS) --dist loadfile --no-loadscope-reorder --max-worker-restart=0 $(RERUN)
+
 test: test-units test-ros ## the default test suite, in two lanes: units and ROS; test-timing is a third
 
 # Without --max-worker-restart=0 pytest-xdist may wait for ever when a worker crashes (seen with 3.8.0).
 test-units: $(VENV)/.develop ## its tests without ROS processes, UNIT_JOBS at a time
-	$(BIN)/python -m pytest -n $(UNIT_JOBS) --dist worksteal --max-worker-restart=0 \
-	  -m "not ros and not gpu and not hardware and not slow and not release" $(ARGS)
+	$(BIN)/python -m pytest $(UNITS) -m "not ros and $(DEFAULT)" $(ARGS)
 
 # To collect the other files takes as long as a few of these tests. Those of the top-level tests/ run whole cells, which take
 # all cores, most others wait: they are spread among them, the last ones before the end.
@@ -91,11 +96,18 @@ ROS_TESTS = $(if $(ARGS),,$(shell { $(call ROS_FILES,tests,3); $(call ROS_FILES,
   sort -n | cut -d ' ' -f 2))
 
 test-ros: $(VENV)/.develop ## its tests with ROS processes, ROS_JOBS at a time
-	$(BIN)/python -m pytest -n $(ROS_JOBS) --dist loadfile --no-loadscope-reorder --max-worker-restart=0 $(RERUN) \
-	  -m "ros and not timing and not sourced and not peers and not gpu and not hardware and not slow" $(ROS_TESTS) $(ARGS)
+	$(BIN)/python -m pytest $(ROS) -m "ros and not timing and $(DEFAULT)" $(ROS_TESTS) $(ARGS)
 
 test-timing: $(VENV)/.develop ## tests that judge how soon something happens, one at a time: let nothing run beside them
-	$(BIN)/python -m pytest $(RERUN) -m "ros and timing and not gpu and not hardware and not slow" $(ROS_TESTS) $(ARGS)
+	$(BIN)/python -m pytest $(RERUN) -m "ros and timing and $(HERE)" $(ROS_TESTS) $(ARGS)
+
+test-exhaustive: test-exhaustive-units test-exhaustive-ros ## further cases of what the default suite shows, in the same two lanes
+
+test-exhaustive-units: $(VENV)/.develop
+	$(BIN)/python -m pytest $(UNITS) -m "not ros and $(EXHAUSTIVE)" $(ARGS)
+
+test-exhaustive-ros: $(VENV)/.develop
+	$(BIN)/python -m pytest $(ROS) -m "ros and not timing and $(EXHAUSTIVE)" $(ROS_TESTS) $(ARGS)
 
 test-release: $(VENV)/.develop ## every package as a wheel: what it holds, and whether it works without the sources
 	$(BIN)/python -m pytest -n $(JOBS) -m release $(ARGS)

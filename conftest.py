@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import os
 import sys
+from collections import Counter
 from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 from typing import Any
@@ -48,13 +49,31 @@ ROS_MODULES = pytest.StashKey[set[Path]]()
 """Files with tests that join ROS."""
 
 
+# before pytest deselects by marker
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Give tests that take minutes a bound of their own against hangs."""
+    """Mark the exhaustive cases of sampled tests; give tests that take minutes a bound of their own
+    against hangs.
+    """
+    _leave_samples(items)
     config.stash[ROS_MODULES] = {item.path for item in items if item.get_closest_marker("ros")}
     for item in items:
         takes_minutes = item.get_closest_marker("slow") or item.get_closest_marker("release")
         if takes_minutes and not item.get_closest_marker("timeout"):
             item.add_marker(pytest.mark.timeout(600))
+
+
+def _leave_samples(items: list[pytest.Item]) -> None:
+    """Mark all cases `exhaustive` but the first of each `every` cases of a sampled test."""
+    seen: Counter[str] = Counter()
+    for item in items:
+        sampled = item.get_closest_marker("sampled")
+        if sampled is None or item.get_closest_marker("slow"):
+            continue
+        test = item.nodeid.partition("[")[0]
+        if seen[test] % sampled.kwargs["every"]:
+            item.add_marker(pytest.mark.exhaustive)
+        seen[test] += 1
 
 
 @pytest.hookimpl(wrapper=True)

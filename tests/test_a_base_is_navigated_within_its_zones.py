@@ -163,6 +163,7 @@ def test_goals_that_end_otherwise_leave_a_base_at_rest(bench: Bench) -> None:
     anyio.run(scenario)
 
 
+@pytest.mark.exhaustive
 def test_an_inactive_navigator_rejects(bench: Bench) -> None:
     bench.navigator("--inactive")
 

@@ -3,16 +3,29 @@
 from __future__ import annotations
 
 import ast
-from collections import defaultdict
+import re
+from collections import Counter, defaultdict
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 
 
 def classes_by_name(folders: list[Path]) -> dict[str, list[str]]:
-    """Definitions of each class by name, including nested ones."""
-    found = defaultdict(list)
-    for path in sorted(path for folder in folders for path in folder.rglob("*.py")):
+    """Definitions of each class by name, including nested ones.
+
+    Names that no two lines define have no place: to parse their files would take seconds.
+    """
+    paths = sorted(path for folder in folders for path in folder.rglob("*.py"))
+    # also of classes inside strings
+    named = {
+        path: re.findall(r"^\s*class\s+(\w+)", path.read_text(encoding="utf-8"), re.MULTILINE)
+        for path in paths
+    }
+    counts = Counter(name for names in named.values() for name in names)
+    found: defaultdict[str, list[str]] = defaultdict(list, {name: [] for name in counts})
+    for path, names in named.items():
+        if all(counts[name] == 1 for name in names):
+            continue
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(node, ast.ClassDef):
                 found[node.name].append(f"{path}:{node.lineno}")

@@ -7,6 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[1]
 TEST = """
 import logging
@@ -16,6 +18,7 @@ def test_that_logs_half_a_surrogate_pair(record_property):
 """
 
 
+@pytest.mark.exhaustive
 def test_a_test_that_logs_half_a_surrogate_pair_passes_in_a_worker(tmp_path: Path) -> None:
     shutil.copy(ROOT / "conftest.py", tmp_path)
     (tmp_path / "test_log.py").write_text(TEST)

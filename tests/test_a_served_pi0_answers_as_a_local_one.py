@@ -121,6 +121,7 @@ def test_the_networks_rows_are_the_same_to_the_bit(
     assert (chunk.space, chunk.step_s) == (local.space, local.step_s)
 
 
+@pytest.mark.exhaustive
 def test_droids_own_keys_and_units_lead_to_the_same_rows(
     tmp_path: Path, checkpoint: Path, seen: Observation, local: ActionChunk
 ) -> None:

@@ -40,6 +40,7 @@ def test_the_arm_lifts_the_cube_that_was_named(tmp_path: Path, environment: dict
 
 @pytest.mark.ros
 @pytest.mark.timeout(180)
+@pytest.mark.exhaustive
 def test_the_tools_that_move_an_arm_move_this_one(
     tmp_path: Path, environment: dict[str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -86,7 +86,7 @@ def check(
     assert not any(psutil.pid_exists(pid) for pid in pids)
 
 
-@pytest.mark.parametrize("number", range(2))
+@pytest.mark.parametrize("number", [0, pytest.param(1, marks=pytest.mark.exhaustive)])
 def test_orders_in_which_any_two_modules_stand_in_every_order(
     cell: tuple[ClosedLoop, JointWitness], number: int
 ) -> None:

@@ -23,7 +23,8 @@ state_directory = "{state}"
 """
 
 
-def test_home_is_reached_right_after_the_hand_was_moved(tmp_path: Path) -> None:
+@pytest.mark.parametrize("times", [1, pytest.param(3, marks=pytest.mark.exhaustive)])
+def test_home_is_reached_right_after_the_hand_was_moved(tmp_path: Path, times: int) -> None:
     config = tmp_path / "roboneuron.toml"
     config.write_text(CONFIG.format(state=tmp_path / "state"), encoding="utf-8")
     command = [
@@ -41,7 +42,7 @@ def test_home_is_reached_right_after_the_hand_was_moved(tmp_path: Path) -> None:
             for tool in ("start_robot", "start_control"):
                 answer = await client.call_tool(tool, {})
                 assert not answer.is_error, answer.content
-            for _ in range(3):
+            for _ in range(times):
                 moved = await client.call_tool("move_ee", {"dz_m": -0.05})
                 assert not moved.is_error, moved.content
                 there = await client.call_tool("move_to", {"name": "home"})

@@ -70,6 +70,7 @@ def modules_of(server: int) -> list[int]:
     return [int(word) for word in listed.stdout.split()]
 
 
+@pytest.mark.exhaustive  # the run that is interrupted starts and stops the same
 def test_an_instruction_is_run_and_everything_is_stopped(environment: dict[str, str]) -> None:
     done = roboneuron({**environment, "PYTHONIOENCODING": "ascii"}, "run", "pick up the red cube")
     assert done.returncode == 0, done.stdout + done.stderr

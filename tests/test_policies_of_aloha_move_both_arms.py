@@ -203,7 +203,11 @@ def oft(folder: Path) -> tuple[str, ActionChunk]:
 @pytest.mark.ros
 @pytest.mark.timeout(180)
 @pytest.mark.parametrize(
-    "make", [pytest.param(pi0, id="pi0"), pytest.param(oft, id="oft", marks=pytest.mark.slow)]
+    "make",
+    [
+        pytest.param(pi0, id="pi0", marks=pytest.mark.exhaustive),
+        pytest.param(oft, id="oft", marks=pytest.mark.slow),
+    ],
 )
 def test_both_arms_follow_a_policy_of_aloha(tmp_path: Path, make: Any) -> None:
     text, chunk = make(tmp_path)

@@ -24,7 +24,11 @@ def blocks(root: Path, language: str) -> list[str]:
 
 
 @pytest.mark.ros
-@pytest.mark.parametrize("is_own", [False, True], ids=["as printed", "own configuration"])
+@pytest.mark.parametrize(
+    "is_own",
+    [False, pytest.param(True, marks=pytest.mark.exhaustive)],
+    ids=["as printed", "own configuration"],
+)
 def test_client_configuration_block_launches_the_server(
     root: Path, environment: dict[str, str], tmp_path: Path, is_own: bool
 ) -> None:

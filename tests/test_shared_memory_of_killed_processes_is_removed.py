@@ -62,6 +62,7 @@ def supervisor(tmp_path: Path) -> Iterator[Supervisor]:
         repair.close()
 
 
+@pytest.mark.exhaustive
 def test_a_frozen_module_that_had_to_be_killed(supervisor: Supervisor, config: Config) -> None:
     process = supervisor.start(fake_plan("robot", config)).process
     assert process is not None

@@ -142,6 +142,7 @@ def test_the_table_has_every_profile_and_every_backend_of_policies() -> None:
     }
 
 
+@pytest.mark.sampled(every=3)
 @pytest.mark.parametrize("row", ROWS, ids=[row.policy for row in ROWS])
 def test_the_lines_of_a_row_are_all_that_its_policy_needs(
     registry: Registry, tmp_path: Path, capsys: pytest.CaptureFixture[str], row: Row

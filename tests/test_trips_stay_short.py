@@ -42,6 +42,7 @@ def test_a_call_of_publish_velocity_comes_to_its_message_on_a_short_way() -> Non
 
 
 @pytest.mark.ros
+@pytest.mark.exhaustive
 def test_a_key_of_the_configuration_comes_to_its_use_on_a_short_way() -> None:
     counts = _counted("key_way.py")
     # it fails itself if the way misses one of its stations

@@ -188,6 +188,7 @@ def talker(user: dict[str, str]) -> Iterator[subprocess.Popen[str]]:
 
 
 @pytest.mark.ros
+@pytest.mark.exhaustive
 @pytest.mark.timeout(120)
 def test_an_agent_asks_a_server_for_them(
     user: dict[str, str], talker: subprocess.Popen[str], tmp_path: Path

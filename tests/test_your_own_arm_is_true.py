@@ -56,7 +56,13 @@ def test_the_arm_of_the_page_keeps_its_contract(project: Path) -> None:
 
 
 @pytest.mark.ros
-@pytest.mark.parametrize("driver", ["simulated", pytest.param("ros2", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "driver",
+    [
+        pytest.param("simulated", marks=pytest.mark.exhaustive),
+        pytest.param("ros2", marks=pytest.mark.slow),
+    ],
+)
 def test_the_arm_of_the_page_moves(project: Path, environment: dict[str, str], driver: str) -> None:
     environment = {**environment, "PYTHONPATH": str(project / "src")}
     config = project / "roboneuron.toml"

@@ -62,7 +62,10 @@ def _check(rows: list[dict[str, Any]], least: int) -> None:
 
 
 # two in one process, because loading PyTorch took most of the time
-@pytest.mark.parametrize("layouts", ["openvla,oft", "pi0-lerobot,pi0-openpi"])
+@pytest.mark.parametrize(
+    "layouts",
+    [pytest.param("openvla,oft", marks=pytest.mark.exhaustive), "pi0-lerobot,pi0-openpi"],
+)
 def test_a_sample_of_damaged_checkpoints_is_refused_or_acts_as_before(layouts, tmp_path):
     rows = _run(layouts, tmp_path, STRIDE)
     for layout in layouts.split(","):

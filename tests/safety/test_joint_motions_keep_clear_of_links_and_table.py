@@ -206,7 +206,14 @@ def _targets(rng: np.random.Generator, count: int) -> Sequence[np.ndarray]:
     return list(rng.uniform(lower, upper, (count, 8)))
 
 
-@pytest.mark.parametrize("count", [30, pytest.param(100, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "count",
+    [
+        12,
+        pytest.param(30, marks=pytest.mark.exhaustive),
+        pytest.param(100, marks=pytest.mark.slow),
+    ],
+)
 def test_no_permitted_motion_penetrates_anything_on_its_way(
     make_ask: Any, simulation: ArmSimulation, count: int
 ) -> None:
@@ -227,7 +234,14 @@ def test_no_permitted_motion_penetrates_anything_on_its_way(
     assert refused > 0.1 * count
 
 
-@pytest.mark.parametrize("count", [12, pytest.param(40, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "count",
+    [
+        5,
+        pytest.param(12, marks=pytest.mark.exhaustive),
+        pytest.param(40, marks=pytest.mark.slow),
+    ],
+)
 def test_no_permitted_motion_penetrates_anything_while_it_is_carried_out(
     make_ask: Any, simulation: ArmSimulation, count: int
 ) -> None:

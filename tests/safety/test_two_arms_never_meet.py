@@ -37,7 +37,7 @@ LEAST_HEIGHT_M, LEAST_DISTANCE_M = 0.05, 0.01
 STRETCHED = np.array(HOME_RAD) + np.array([0.0, 0.9, 0.0, 0.9, 0.0, 0.2, 0.0])
 """Posture of each arm; two of them overlap in the middle of the table."""
 PERIOD_S, LASTS_S = 0.05, 0.06
-COMMANDS = 120
+COMMANDS, FEW_COMMANDS = 120, 40
 _FAR_M = 0.2
 
 
@@ -188,7 +188,9 @@ def _hostile(rng: np.random.Generator, run: Run) -> Iterator[tuple[F64, float]]:
 
 
 @pytest.mark.parametrize("reaction", ["scale", "hold"])
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(
+    "seed", [0, *(pytest.param(seed, marks=pytest.mark.exhaustive) for seed in range(1, 4))]
+)
 def test_hostile_commands_for_both_arms_stay_within_every_limit(reaction: str, seed: int) -> None:
     run = Run(limiter=_gate(reaction), judge=Judge())
     for target, duration_s in _hostile(np.random.default_rng(seed), run):
@@ -230,7 +232,12 @@ def _hostile_row(
 
 
 @pytest.mark.parametrize(
-    "rows", [COMMANDS, pytest.param(10_000, marks=[pytest.mark.slow, pytest.mark.timeout(600)])]
+    "rows",
+    [
+        FEW_COMMANDS,
+        pytest.param(COMMANDS, marks=pytest.mark.exhaustive),
+        pytest.param(10_000, marks=[pytest.mark.slow, pytest.mark.timeout(600)]),
+    ],
 )
 @pytest.mark.parametrize("reaction", ["scale", "hold"])
 @pytest.mark.parametrize("kind", KINDS)

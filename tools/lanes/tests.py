@@ -24,7 +24,7 @@ ROBOARENA = Path(os.environ.get("ROBOARENA", "../roboarena"))
 
 @lane
 def test_all(session: nox.Session) -> None:
-    """every test for this machine: units, ROS, timing, slow and release, one at a time"""
+    """every test for this machine, also exhaustive, timing, slow and release, one at a time"""
     pytest(session, "-m", "not gpu and not hardware")
 
 

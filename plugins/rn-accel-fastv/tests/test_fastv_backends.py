@@ -59,6 +59,7 @@ def _backend(folder, family, acceleration):
 SPECS = {"openvla": openvla_backends()[0], "oft": oft_backends()[0]}
 
 
+@pytest.mark.sampled(every=3)
 @pytest.mark.parametrize("family", ["openvla", "oft"])
 @pytest.mark.parametrize("preset", sorted(PRESETS))
 def test_each_preset_keeps_its_share_of_the_visual_tokens(tinies, family, preset):

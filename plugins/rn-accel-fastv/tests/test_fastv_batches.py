@@ -87,6 +87,7 @@ def kept(monkeypatch):
     return chosen
 
 
+@pytest.mark.sampled(every=3)
 @pytest.mark.parametrize("preset", sorted(PRESETS))
 def test_each_of_a_batch_keeps_its_own_tokens_and_gives_its_own_actions(
     tiny, observations, kept, preset

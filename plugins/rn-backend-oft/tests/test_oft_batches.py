@@ -90,6 +90,7 @@ def test_prompts_have_many_lengths(backend):
     assert len({backend._request(observation).prompt.ids.size for observation in OBSERVATIONS}) >= 6
 
 
+@pytest.mark.sampled(every=4)
 @pytest.mark.parametrize("count", range(1, 9))
 def test_each_row_of_a_batch_is_the_answer_alone(backend, count):
     chunks = backend.predict_batch(OBSERVATIONS[:count])

@@ -32,6 +32,7 @@ from roboneuron.contract import Observation
 README = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
 
 
+@pytest.mark.sampled(every=4)
 class TestForeignServer(BackendContract):
     """The backend with a stand-in for openpi's own server."""
 

@@ -12,6 +12,7 @@ class TestOpenVla(BackendContract):
         return openvla_case()
 
 
+@pytest.mark.sampled(every=4)
 class TestOpenVlaTcp(BackendContract):
     @pytest.fixture
     def plugin(self) -> BackendCase:

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -36,12 +37,19 @@ class TestNative(BackendContract):
         )
 
 
+@cache
+def made_fast_case() -> BackendCase:
+    """The case of pi0-FAST, whose checkpoint is made once for all rules."""
+    return fast_case()
+
+
+@pytest.mark.sampled(every=4)
 class TestFast(BackendContract):
     """The backend of pi0-FAST with a tiny checkpoint."""
 
     @pytest.fixture
     def plugin(self) -> BackendCase:
-        return fast_case()
+        return made_fast_case()
 
 
 class TestPackage(PackageContract):

@@ -40,8 +40,8 @@ controller = "urdf"
 [supervisor]
 start_timeout_s = 90.0
 [plugins.fr3-sim-camera]
-width = 224
-height = 224
+width = 64
+height = 64
 rate_hz = 20.0
 [plugins.shared]
 address = "{address}"

@@ -30,6 +30,9 @@ from roboneuron import InvalidInputError, JointCommand, NotReadyError, UnsafeErr
 
 pytestmark = pytest.mark.ros
 ARM = "/fr3_arm_controller"
+BOTH_MODES = pytest.mark.parametrize(
+    "mode", ["topic", pytest.param("action", marks=pytest.mark.exhaustive)]
+)
 
 
 class Bench:
@@ -131,7 +134,7 @@ def detail(driver: Ros2ControlDriver, name: str) -> str:
     return str(driver.read().detail[name])
 
 
-@pytest.mark.parametrize("mode", ["topic", "action"])
+@BOTH_MODES
 def test_targets_are_reached_replaced_and_held(bench, mode):
     bench.controller()
     driver = bench.driver(mode=mode, gripper="gripper-command")
@@ -189,7 +192,7 @@ def test_another_client_that_takes_the_controller_is_a_fault(bench):
     assert detail(second, "fault") == ""
 
 
-@pytest.mark.parametrize("mode", ["topic", "action"])
+@BOTH_MODES
 def test_deactivation_and_death_of_the_controller_are_named(bench, mode):
     process = bench.controller()
     driver = bench.driver(mode=mode, state_timeout_s=1.0)

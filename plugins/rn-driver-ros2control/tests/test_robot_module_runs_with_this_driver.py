@@ -53,7 +53,7 @@ def moving(rig: ModuleRig) -> float:
     return time.monotonic()
 
 
-@pytest.mark.parametrize("mode", ["topic", "chunks"])
+@pytest.mark.parametrize("mode", ["topic", pytest.param("chunks", marks=pytest.mark.exhaustive)])
 def test_a_trajectory_to_the_robot_module_moves_the_controller(rigs: Rigs, mode: str) -> None:
     rig = rigs.start(mode)
     rig.send([0.05, 0.1, 0.15, 0.2], 0.25)

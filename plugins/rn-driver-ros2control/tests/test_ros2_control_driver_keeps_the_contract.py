@@ -22,6 +22,7 @@ class TestByTopic(RobotContract):
 
 
 @pytest.mark.usefixtures("rig")
+@pytest.mark.sampled(every=4)
 class TestByChunks(RobotContract):
     @pytest.fixture
     def plugin(self) -> RobotCase:
@@ -30,6 +31,7 @@ class TestByChunks(RobotContract):
 
 
 @pytest.mark.usefixtures("rig")
+@pytest.mark.sampled(every=4)
 class TestByAction(RobotContract):
     @pytest.fixture
     def plugin(self) -> RobotCase:

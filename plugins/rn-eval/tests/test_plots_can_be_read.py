@@ -37,6 +37,7 @@ def rows_of(presets, executions):
     return summarise(records).rows
 
 
+@pytest.mark.sampled(every=3)
 @pytest.mark.parametrize("paint", [plots._speed, plots._bars], ids=["speed-up", "bars"])
 @pytest.mark.parametrize(
     ("presets", "executions"),

@@ -15,7 +15,7 @@ from rn_interfaces.cdr_fields import CdrError
 from rn_interfaces.codec import codec
 from rn_interfaces.store import DefinitionStore
 
-TRIALS = 3000
+TRIALS = pytest.mark.parametrize("trials", [300, pytest.param(3000, marks=pytest.mark.exhaustive)])
 
 
 def damaged(data: bytes, rng: random.Random) -> bytes:
@@ -28,35 +28,37 @@ def damaged(data: bytes, rng: random.Random) -> bytes:
     return bytes(changed)
 
 
-def test_damaged_messages_are_refused_or_decoded(store: DefinitionStore) -> None:
+@TRIALS
+def test_damaged_messages_are_refused_or_decoded(store: DefinitionStore, trials: int) -> None:
     from weld_msgs.msg import Path as Welds
 
     rng = random.Random(3)
     ours = codec(Welds)
     refused = 0
-    for _ in range(TRIALS):
+    for _ in range(trials):
         message = filled(Welds, rng)
         try:
             ours.decode(damaged(ours.encode(message), rng))
         except CdrError:
             refused += 1
         assert ours.decode(ours.encode(message)) == message
-    assert TRIALS // 10 < refused < TRIALS
+    assert trials // 10 < refused < trials
 
 
-def test_rclpy_goes_on_after_damaged_bytes(store: DefinitionStore) -> None:
+@TRIALS
+def test_rclpy_goes_on_after_damaged_bytes(store: DefinitionStore, trials: int) -> None:
     from weld_msgs.msg import Path as Welds
 
     rng = random.Random(4)
     decoded = 0
-    for _ in range(TRIALS // 3):
+    for _ in range(trials // 3):
         message = filled(Welds, rng)
         data = serialize_message(message)
         with suppress(rclpy_implementation.RMWError):
             deserialize_message(data[:4] + damaged(data[4:], rng), Welds)
             decoded += 1
         assert deserialize_message(data, Welds) == message
-    assert 0 < decoded < TRIALS // 3
+    assert 0 < decoded < trials // 3
 
 
 @pytest.mark.parametrize(

@@ -38,8 +38,9 @@ def round_trip(folder: Path, package: str, count: int) -> None:
             assert deserialize_message(serialize_message(message), cls) == message
 
 
-def test_generated_definitions_round_trip(user: Path, tmp_path: Path) -> None:
-    round_trip(tmp_path, "made_thirty_msgs", 30)
+@pytest.mark.parametrize("count", [6, pytest.param(30, marks=pytest.mark.exhaustive)])
+def test_generated_definitions_round_trip(user: Path, tmp_path: Path, count: int) -> None:
+    round_trip(tmp_path, f"made_{count}_msgs", count)
 
 
 @pytest.mark.slow

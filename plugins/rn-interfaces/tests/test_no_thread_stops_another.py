@@ -33,7 +33,14 @@ def busy(seconds: float, domain: int) -> dict[str, int]:
     return dict(ast.literal_eval(ended.stdout.splitlines()[-1]))
 
 
-@pytest.mark.parametrize("seconds", [5.0, pytest.param(60.0, marks=[pytest.mark.slow])])
+@pytest.mark.parametrize(
+    "seconds",
+    [
+        2.0,
+        pytest.param(5.0, marks=pytest.mark.exhaustive),
+        pytest.param(60.0, marks=pytest.mark.slow),
+    ],
+)
 def test_threads_that_share_entities_all_go_on(store: DefinitionStore, seconds: float) -> None:
     done = busy(seconds, free_ros_domain())
     assert len(done) == 5

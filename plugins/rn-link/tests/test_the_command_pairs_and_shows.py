@@ -68,6 +68,7 @@ def test_two_machines_are_paired_shown_and_parted(tmp_path: Path) -> None:
     assert json.loads(link(gpu, "show", "--json").stdout) == {}
 
 
+@pytest.mark.sampled(every=3)
 @pytest.mark.parametrize(
     ("arguments", "text", "told"),
     [

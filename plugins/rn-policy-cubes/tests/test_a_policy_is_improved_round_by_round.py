@@ -164,7 +164,7 @@ def test_an_option_that_the_suite_does_not_have_fails_before_the_training(
 @pytest.mark.parametrize(
     "what",
     [
-        "trained",
+        pytest.param("trained", marks=pytest.mark.exhaustive),
         *(
             pytest.param(word, marks=pytest.mark.slow)
             for word in ("begun", "rolled_out", "evaluated", "promoted")

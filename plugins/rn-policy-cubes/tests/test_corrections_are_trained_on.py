@@ -169,6 +169,7 @@ def test_only_actions_of_a_correction_are_learnt(
     assert touched.sum() == 3
 
 
+@pytest.mark.exhaustive
 def test_a_training_goes_on_from_weights_with_corrections(
     dataset: Path,
     tmp_path: Path,

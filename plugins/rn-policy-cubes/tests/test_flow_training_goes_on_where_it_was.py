@@ -54,6 +54,8 @@ def run(directory: Path, shards: Path, until: int | None = None) -> FlowTraining
     return train_flow(RECIPE, directory, shards, until=until, say=quiet, schedule=schedule)
 
 
+# takes many seconds; test_training_goes_on_where_it_was.py shows the same of the other policy
+@pytest.mark.exhaustive
 def test_resuming_equals_an_uninterrupted_run(shards: Path, tmp_path: Path) -> None:
     run(tmp_path / "whole", shards)
     for until in (1, 4, None):
@@ -67,6 +69,7 @@ def test_resuming_equals_an_uninterrupted_run(shards: Path, tmp_path: Path) -> N
             assert torch.equal(value, parts[name][key]), f"{name} {key}"
 
 
+@pytest.mark.exhaustive
 def test_losses_fall_and_the_curve_tells_them(shards: Path, tmp_path: Path) -> None:
     longer = RECIPE.model_copy(
         update={"steps": 60, "full_from": 1.0, "cool_down": 0.0, "views": 8, "samples": 4}

@@ -16,7 +16,6 @@ from roboneuron.cli.main import main
 pytest.importorskip("rn_eval")
 pytest.importorskip("rn_backend_pi0")
 
-SEEDS = 4
 MOST_BYTES = 4_000_000
 
 
@@ -31,23 +30,24 @@ def test_weights_are_small() -> None:
     assert shipped_flow_weights().stat().st_size <= MOST_BYTES
 
 
-def test_the_flow_policy_lifts_the_named_cube(tmp_path: Path) -> None:
+@pytest.mark.parametrize("seeds", [1, pytest.param(4, marks=pytest.mark.exhaustive)])
+def test_the_flow_policy_lifts_the_named_cube(tmp_path: Path, seeds: int) -> None:
     """Nearly all scenes succeed; another processor rounds differently, so one of these may fail."""
     policy = tmp_path / "policy"
     assert unpack(policy) == 0
     chosen = ["--backend", "pi0", "--checkpoint", str(policy)]
     chosen += ["--config", str(policy / "roboneuron.toml"), "--execution", "rtc"]
     out = tmp_path / "run"
-    scenes = ["--episodes", str(SEEDS), "--seed", "20000", "--latency", "112ms"]
+    scenes = ["--episodes", str(seeds), "--seed", "20000", "--latency", "112ms"]
     scenes += ["--strips", "none", "--out", str(out)]
     assert main(["eval", "run", "-q", *chosen, *scenes]) == 0
     lines = [
         json.loads(line)["outcome"] for line in (out / "episodes.jsonl").read_text().splitlines()
     ]
-    assert len(lines) == SEEDS
+    assert len(lines) == seeds
     assert all("rtc" in line["modes"] for line in lines)
     lifted = [line for line in lines if line["status"] == "success"]
-    assert len(lifted) >= SEEDS - 1
+    assert len(lifted) >= max(1, seeds - 1)
     assert all(line["facts"]["right_object"] == 1.0 for line in lifted)
 
 

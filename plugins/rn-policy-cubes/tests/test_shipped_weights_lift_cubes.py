@@ -13,7 +13,6 @@ from roboneuron.cli.main import main
 
 pytest.importorskip("rn_eval")
 
-SEEDS = 5
 MOST_BYTES = 8_000_000
 
 
@@ -21,7 +20,8 @@ def test_weights_are_small() -> None:
     assert shipped_weights().stat().st_size <= MOST_BYTES
 
 
-def test_the_policy_lifts_the_named_cube(tmp_path: Path) -> None:
+@pytest.mark.parametrize("seeds", [2, pytest.param(5, marks=pytest.mark.exhaustive)])
+def test_the_policy_lifts_the_named_cube(tmp_path: Path, seeds: int) -> None:
     """Nine of ten scenes succeed; another processor rounds differently, so one of these may
     fail.
     """
@@ -35,13 +35,13 @@ def test_the_policy_lifts_the_named_cube(tmp_path: Path) -> None:
         str(config),
     ]
     out = tmp_path / "run"
-    scenes = ["--episodes", str(SEEDS), "--seed", "10000", "--strips", "none", "--out", str(out)]
+    scenes = ["--episodes", str(seeds), "--seed", "10000", "--strips", "none", "--out", str(out)]
     assert main(["eval", "run", "-q", *policy, *scenes]) == 0
     lines = [
         json.loads(line)["outcome"] for line in (out / "episodes.jsonl").read_text().splitlines()
     ]
-    assert len(lines) == SEEDS
+    assert len(lines) == seeds
     lifted = [line for line in lines if line["status"] == "success"]
-    assert len(lifted) >= SEEDS - 1
+    assert len(lifted) >= seeds - 1
     assert all(line["facts"]["right_object"] == 1.0 for line in lifted)
     assert all(line["facts"]["lifted_cm"] > 10 for line in lifted)

@@ -61,7 +61,7 @@ def test_times_are_short(seconds: float, text: str) -> None:
     assert duration(seconds) == text
 
 
-@pytest.mark.parametrize("workers", [1, 2])
+@pytest.mark.parametrize("workers", [pytest.param(1, marks=pytest.mark.exhaustive), 2])
 def test_demonstrations_are_counted(tmp_path: Path, workers: int) -> None:
     said: list[str] = []
     record(tmp_path, 2, workers=workers, say=said.append, views=12)

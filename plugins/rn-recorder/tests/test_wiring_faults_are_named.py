@@ -69,6 +69,7 @@ class DegreePolicy(KnowingPolicy):
         return super().predict(seen)
 
 
+@pytest.mark.sampled(every=4)
 @pytest.mark.parametrize("name", FAULTS)
 def test_a_seeded_fault_is_named(check: Check, name: str) -> None:
     seeded = FAULTS[name]
@@ -89,6 +90,7 @@ def test_faults_of_every_kind_are_seeded() -> None:
         assert sum(seeded.kind == kind for seeded in FAULTS.values()) >= 11
 
 
+@pytest.mark.sampled(every=4)
 @pytest.mark.parametrize("kind", SPACES)
 @pytest.mark.parametrize(
     "own",

@@ -57,6 +57,7 @@ TRACKING = [
 SLACK = {"pybullet": 1.0, "mujoco": 2.0}
 
 
+@pytest.mark.sampled(every=3)
 @pytest.mark.parametrize(
     ("platform", "linear", "angular", "linear_error", "angular_error"), TRACKING
 )
@@ -153,6 +154,7 @@ def test_car_never_steers_beyond_its_turning_radius_on_the_way(engine: Engine) -
                 assert abs(turning) * radius_m <= abs(speed) + 1e-9
 
 
+@pytest.mark.sampled(every=3)
 @pytest.mark.parametrize(
     ("platform", "share"),
     # Relative to the path's length; only the husky slips, and its heading varies in a skid.

@@ -31,6 +31,7 @@ def test_the_square_is_none_for_a_car() -> None:
         check_twist(RACECAR, corner.linear_m_s, corner.angular_rad_s)
 
 
+@pytest.mark.sampled(every=3)
 @EVERY_PLATFORM
 def test_base_ends_where_its_path_is_planned_to_end(engine: Engine, platform: Platform) -> None:
     path = PATHS[platform.name]

@@ -15,6 +15,7 @@ class TestFr3Pair(RobotContract):
         return pair_case()
 
 
+@pytest.mark.sampled(every=4)
 class TestSimulatedPairCameras(PerceptionContract):
     @pytest.fixture
     def plugin(self) -> PerceptionCase:

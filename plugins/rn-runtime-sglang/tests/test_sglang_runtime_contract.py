@@ -6,6 +6,7 @@ from rn_runtime_sglang.case import sglang_case
 from rn_testing import PackageCase, PackageContract, RuntimeCase, RuntimeContract
 
 
+@pytest.mark.sampled(every=3)
 class TestSglangRuntime(RuntimeContract):
     @pytest.fixture
     def plugin(self) -> RuntimeCase:

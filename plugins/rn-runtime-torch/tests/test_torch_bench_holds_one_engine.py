@@ -25,6 +25,7 @@ def bench(monkeypatch):
     return module
 
 
+@pytest.mark.exhaustive
 def test_an_engine_is_gone_before_the_next_one_is_built(bench, monkeypatch, tmp_path, capsys):
     """On a GPU two engines of the real size would not fit; the plain loop has no weights of its
     own.

@@ -56,6 +56,7 @@ def _visible_to_processes(monkeypatch: pytest.MonkeyPatch) -> None:
     )
 
 
+@pytest.mark.sampled(every=5)
 @pytest.mark.parametrize(
     ("kind", "rule_id", "changes"),
     BROKEN,

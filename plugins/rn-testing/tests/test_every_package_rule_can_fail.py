@@ -261,6 +261,7 @@ BROKEN: dict[str, tuple[str, Callable[[Sample], object]]] = {
 }
 
 
+@pytest.mark.sampled(every=8)
 @pytest.mark.parametrize("fault", BROKEN)
 def test_a_broken_package_fails_its_rule(sample, site, fault):
     site.install("rn-other", "", value="rn_other.plugin")

@@ -178,6 +178,7 @@ def _what_mutants_leave(tmp_path, monkeypatch):
     atexit.unregister(int)
 
 
+@pytest.mark.sampled(every=10)
 @pytest.mark.parametrize(
     "name",
     [pytest.param(name, marks=pytest.mark.slow) if name in SLOW else name for name in MUTANTS],

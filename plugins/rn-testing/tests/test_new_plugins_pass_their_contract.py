@@ -76,8 +76,13 @@ def made(kind, tmp_path):
 @pytest.mark.parametrize(
     "kind",
     [
-        kind if kind in {"backend", "robot"} else pytest.param(kind, marks=pytest.mark.slow)
-        for kind in NEW_KINDS
+        "backend",
+        pytest.param("robot", marks=pytest.mark.exhaustive),
+        *(
+            pytest.param(kind, marks=pytest.mark.slow)
+            for kind in NEW_KINDS
+            if kind not in {"backend", "robot"}
+        ),
     ],
 )
 def test_a_new_plugin_passes_its_own_tests(made):

@@ -128,6 +128,7 @@ def test_a_page_is_no_server(page: str, capsys: pytest.CaptureFixture[str]) -> N
 
 
 @pytest.mark.ros
+@pytest.mark.exhaustive
 def test_an_instruction_without_an_object_ends_the_demo_with_one_line(
     tmp_path: Path, free_domain: str
 ) -> None:
@@ -236,7 +237,13 @@ for line in sys.argv[1:]:
 
 @pytest.mark.parametrize(
     "setting",
-    [{"PYTHONIOENCODING": "ascii"}, {"LC_ALL": "C", "PYTHONCOERCECLOCALE": "0", "PYTHONUTF8": "0"}],
+    [
+        {"PYTHONIOENCODING": "ascii"},
+        pytest.param(
+            {"LC_ALL": "C", "PYTHONCOERCECLOCALE": "0", "PYTHONUTF8": "0"},
+            marks=pytest.mark.exhaustive,
+        ),
+    ],
 )
 def test_commands_run_on_an_ascii_terminal(setting: dict[str, str], tmp_path: Path) -> None:
     commands = ("plugins list", "plugins show servo", "config reference", "tools", "--help")

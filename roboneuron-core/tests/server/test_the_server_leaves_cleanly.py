@@ -103,7 +103,7 @@ def is_gone(pid: int) -> bool:
         pytest.param("stdin", False, marks=pytest.mark.slow),
         ("stdin", True),
         ("SIGTERM", False),
-        ("SIGINT", False),
+        pytest.param("SIGINT", False, marks=pytest.mark.exhaustive),
         pytest.param("SIGKILL", False, marks=pytest.mark.slow),
         ("SIGKILL", True),
     ],

@@ -19,6 +19,7 @@ from rn_testing.contracts import contract_of
 from rn_testing.rule import Violation
 
 
+@pytest.mark.sampled(every=15)
 class TestAgentTasks(contract_of(AgentTaskSpec)):
     @pytest.fixture(params=OFFERED_TASKS, ids=lambda spec: spec.name)
     def plugin(self, request: pytest.FixtureRequest) -> AgentTaskCase:

@@ -259,7 +259,9 @@ TRIALS = [(spec, *(REFUSALS if spec.family == "refuse" else CASES[spec.name])) f
 
 
 @pytest.mark.parametrize(("spec", "passing", "failing"), TRIALS, ids=[spec.name for spec in TASKS])
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize(
+    "seed", [0, *(pytest.param(seed, marks=pytest.mark.exhaustive) for seed in (1, 2))]
+)
 def test_a_judge_passes_and_fails(spec, passing, failing, seed):
     task = cast(AgentTask, build(spec, {}))
     scene = task.prepare(seed)

@@ -49,6 +49,7 @@ def play(stand_in):
         runner.close()
 
 
+@pytest.mark.sampled(every=4)
 @pytest.mark.parametrize(
     ("suite", "steps"),
     [("libero-spatial", 220), ("libero-object", 280), ("libero-goal", 300), ("libero-10", 520)],

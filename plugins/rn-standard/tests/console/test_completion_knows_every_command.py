@@ -29,6 +29,7 @@ def scripts() -> dict[str, str]:
     return found
 
 
+@pytest.mark.sampled(every=3)
 @pytest.mark.parametrize("shell", SHELLS)
 def test_commands_of_core_and_of_plugins_are_in_it(scripts: dict[str, str], shell: str) -> None:
     for name in [*COMMANDS, *installed_commands(discover())]:

@@ -236,7 +236,14 @@ def test_a_way_that_would_take_too_long_to_judge_is_refused(move: Any) -> None:
         move(*points)
 
 
-@pytest.mark.parametrize("count", [30, pytest.param(100, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "count",
+    [
+        12,
+        pytest.param(30, marks=pytest.mark.exhaustive),
+        pytest.param(100, marks=pytest.mark.slow),
+    ],
+)
 def test_nothing_that_passes_meets_a_zone(move: Any, count: int) -> None:
     """Against a fine walk along the way, zones of any thickness."""
 

@@ -15,6 +15,7 @@ IN_TIME = [(8, 0.05), (8, 0.112), (16, 0.05), (16, 0.112), (16, 0.25)]
 BEYOND = [(8, 0.25), (8, 0.34), (16, 0.34), (16, 0.6)]
 
 
+@pytest.mark.sampled(every=3)
 @pytest.mark.parametrize("abilities", [Abilities(), CONDITIONED], ids=["fade", "rtc"])
 @pytest.mark.parametrize(("horizon", "latency_s"), IN_TIME)
 def test_the_arm_never_waits_for_the_model(
@@ -46,6 +47,7 @@ def test_an_answer_longer_than_a_chunk_is_executed_sequentially() -> None:
     assert run(Trial(horizon=8, latency_s=0.6, duration_s=20.0)).mode == "sequential"
 
 
+@pytest.mark.sampled(every=4)
 @pytest.mark.parametrize(("horizon", "latency_s"), [*IN_TIME, *BEYOND])
 @pytest.mark.parametrize(
     "abilities", [Abilities(), Abilities(takes_predicted_state=True)], ids=["fade", "predicted"]

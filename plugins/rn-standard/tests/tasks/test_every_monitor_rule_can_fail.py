@@ -207,6 +207,7 @@ def broken_case(
     return replace(good, spec=replace(good.spec, **spec))
 
 
+@pytest.mark.sampled(every=5)
 @pytest.mark.parametrize(
     ("name", "target", "spec"), MUTANTS, ids=lambda value: getattr(value, "__name__", "")
 )

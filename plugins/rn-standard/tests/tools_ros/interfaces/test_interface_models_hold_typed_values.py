@@ -33,6 +33,7 @@ def test_what_was_omitted_stays_omitted() -> None:
     assert message.header.stamp.nanosec == 500_000_000
 
 
+@pytest.mark.sampled(every=8)
 @pytest.mark.parametrize("name", [str(n) for n in list_interfaces() if n.kind == "msg"])
 def test_a_model_encodes_to_the_same_message(name: str, interface_values) -> None:
     part = load_message(name)

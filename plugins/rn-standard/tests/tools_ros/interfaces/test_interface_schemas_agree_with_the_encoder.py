@@ -157,6 +157,7 @@ def says_base64(message: MessageType, value: Any) -> bool:
     return False
 
 
+@pytest.mark.sampled(every=8)
 @pytest.mark.parametrize("name", NAMES)
 def test_schema_and_encoder_give_the_same_verdict(name: str, interface_values) -> None:
     validators = [

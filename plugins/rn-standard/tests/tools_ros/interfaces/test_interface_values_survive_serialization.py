@@ -14,6 +14,7 @@ from rn_standard.tools_ros.interfaces import LOSSLESS, list_interfaces, load_mes
 NAMES = [str(name) for name in list_interfaces()]
 
 
+@pytest.mark.sampled(every=8)
 @pytest.mark.parametrize("name", NAMES)
 def test_values_are_equal_after_the_wire(name: str, interface_values) -> None:
     @settings(max_examples=12, deadline=None, derandomize=True, database=None)

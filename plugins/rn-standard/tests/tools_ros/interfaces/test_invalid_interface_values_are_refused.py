@@ -175,14 +175,18 @@ JUNK = st.recursive(
 )
 
 
-@settings(deadline=None, max_examples=400)
-@given(
-    name=st.sampled_from([str(n) for n in list_interfaces() if n.kind == "msg"]),
-    junk=JUNK,
-    data=st.data(),
-)
-def test_junk_never_raises_anything_else(name: str, junk: Any, data: st.DataObject) -> None:
-    part = load_message(name)
-    field = data.draw(st.sampled_from([f.name for f in part.fields] or ["data"]))
-    with contextlib.suppress(InvalidInputError):
-        part.encode({field: junk}, now_ns=0)
+@pytest.mark.parametrize("examples", [60, pytest.param(400, marks=pytest.mark.exhaustive)])
+def test_junk_never_raises_anything_else(examples: int) -> None:
+    @settings(deadline=None, max_examples=examples)
+    @given(
+        name=st.sampled_from([str(n) for n in list_interfaces() if n.kind == "msg"]),
+        junk=JUNK,
+        data=st.data(),
+    )
+    def check(name: str, junk: Any, data: st.DataObject) -> None:
+        part = load_message(name)
+        field = data.draw(st.sampled_from([f.name for f in part.fields] or ["data"]))
+        with contextlib.suppress(InvalidInputError):
+            part.encode({field: junk}, now_ns=0)
+
+    check()
