@@ -76,14 +76,18 @@ def test_requests_times_and_robots_are_told_by_model(server: RunningServer) -> N
     robot.close()
 
 
-def replicas_that_tell(server: RunningServer) -> set[str]:
-    """Replicas with time metrics, which they have after loading."""
-    told = [labels for name, labels in read(server) if name.endswith("model_seconds_sum")]
-    return {value for labels in told for key, value in labels if key == "replica"}
+LOADED = {("one", "0"), ("one", "1"), ("other", "0")}
+"""Model and number of every replica."""
+
+
+def replicas_that_tell(server: RunningServer) -> set[tuple[str, str]]:
+    """Model and number of the replicas with time metrics, which they have after loading."""
+    told = [dict(labels) for name, labels in read(server) if name.endswith("model_seconds_sum")]
+    return {(labels["model"], labels["replica"]) for labels in told}
 
 
 def test_who_connects_adds_no_labels(server: RunningServer) -> None:
-    wait_until(lambda: replicas_that_tell(server) == {"0", "1"}, 60.0)
+    wait_until(lambda: replicas_that_tell(server) == LOADED, 60.0)
     before, refused = read(server), "refused_connections_total"
     port = server.port
     for word in (b"x" * 64, b'[{"model": "made-up"}, []]', b"GET / HTTP/1.1\r\n\r\n"):
