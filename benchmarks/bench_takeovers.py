@@ -114,6 +114,15 @@ class Cell:
         told = {name: None if one is None else asdict(one) for name, one in values.items()}
         return {"sent": told, "unknown": unknown}
 
+    def commanded_s(self, since_ns: int, until_ns: int) -> float:
+        """Time from `since_ns` to the end of the last command that began before `until_ns` [s]."""
+        ends_ns = [
+            note.at_ns + round(note.duration_s * 1e9)
+            for note in noted(self._notes, since_ns - 1_000_000_000)
+            if note.at_ns <= until_ns
+        ]
+        return max(0.0, (max(ends_ns, default=since_ns) - since_ns) / 1e9)
+
     def needs_start(self) -> str:
         """Reason why control prevents motion; empty for none."""
         modules = self.do("get_status")["modules"]
@@ -259,6 +268,7 @@ def lose(
     return {
         "way": way,
         "rest_s": rest_s,
+        "commanded_s": cell.commanded_s(lost_ns, end_ns),
         "held_up_s": cell.seen.held_up_s(lost_ns, lost_ns + round(2.0 * REST_S * 1e9)),
         "needs_start": told,
         **sent,

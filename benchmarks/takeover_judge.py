@@ -235,7 +235,9 @@ def faults_of(row: dict[str, Any]) -> list[str]:
     found += faults_of_commands(row["sent"]["all"], row["unknown"])
     if row["part"] == "lost":
         if is_timed and row["rest_s"] > REST_S:
-            found.append(f"at rest after {row['rest_s']:.3f} s")
+            # without a command the arm of the simulation may still move where it touches something
+            ended = f"commands ended after {row['commanded_s']:.3f} s"
+            found.append(f"at rest after {row['rest_s']:.3f} s, {ended}")
         if row["way"] == "released" and not row["goes_on"]:
             found.append("did not follow the switch again")
         if row["way"] != "released" and "lead" not in row["needs_start"]:

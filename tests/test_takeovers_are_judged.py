@@ -96,6 +96,7 @@ LOST = {
     "part": "lost",
     "way": "killed",
     "rest_s": 0.15,
+    "commanded_s": 0.08,
     "held_up_s": 0.004,
     "needs_start": "the lead was lost",
     "goes_on": False,
