@@ -267,6 +267,7 @@ def lose(
         page.do("back")
     return {
         "way": way,
+        "lost_ns": lost_ns,
         "rest_s": rest_s,
         "commanded_s": cell.commanded_s(lost_ns, end_ns),
         "held_up_s": cell.seen.held_up_s(lost_ns, lost_ns + round(2.0 * REST_S * 1e9)),
