@@ -20,30 +20,26 @@ import argparse
 import json
 import os
 import random
-import re
 import shutil
 import signal
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Callable
+from contextlib import ExitStack, suppress
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from anyio.from_thread import start_blocking_portal
-
 sys.path.insert(0, str(Path(__file__).parent))
 from command_judge import in_order, judged, largest, noted
+from page_cell import PageCell, served
 from plugin_site import installed
 from takeover_judge import REST_S, WAYS, WINDOW_S, Onlooker, faults_of, report
 from takeover_page import PageProcess
 
 from rn_robot_fr3.profile import profile as fr3_profile
-from rn_standard.console.client import spawned_server
-from rn_testing.domain import free_ros_domain
-from rn_testing.waiting import wait_until
 from roboneuron.ros.environment import prepare_environment
 
 sys.path.pop(0)
@@ -77,31 +73,15 @@ WATCHED_S = 1.8
 OUT = Path("out/takeovers.jsonl")
 
 
-class Cell:
+class Cell(PageCell):
     """A server with its page, its agent, and the observer."""
 
     def __init__(self, folder: Path, seed: int, stack: ExitStack) -> None:
-        config, log = folder / "roboneuron.toml", folder / "log.txt"
-        config.write_text(CONFIG.format(state=folder / "state", seed=seed))
-        self._portal = stack.enter_context(start_blocking_portal())
-        server = spawned_server(["--config", str(config)], log)
-        self._client = stack.enter_context(self._portal.wrap_async_context_manager(server))
-        for module in ("robot", "perception", "control"):
-            self.do(f"start_{module}")
-        pattern = r"live view is at (http://[\d.]+:\d+)"
-        wait_until(lambda: bool(re.search(pattern, log.read_text())), 60.0, poll_s=0.1)
-        self.url = re.findall(pattern, log.read_text())[0]
+        super().__init__(folder, CONFIG.format(state=folder / "state", seed=seed), stack)
         limits = fr3_profile().limits
         assert limits is not None
         self._limits, self._notes = limits, folder / "state" / NOTES
         self.seen = Onlooker("fr3", limits, stack)
-
-    def do(self, tool: str, **arguments: Any) -> dict[str, Any]:
-        """Call a tool as the agent. Raises RuntimeError with the text of a failure."""
-        answer = self._portal.call(self._client.call_tool, tool, arguments)
-        if answer.is_error:
-            raise RuntimeError(str(answer.content))
-        return dict(answer.structured_content or {})
 
     def sent(self, since_ns: int, spans: dict[str, tuple[int, int]]) -> dict[str, Any]:
         """What control has commanded within spans of a trial that began at `since_ns`."""
@@ -278,27 +258,13 @@ def lose(
     }
 
 
-@contextmanager
-def served(folder: Path, seed: int) -> Iterator[Cell]:
-    """A cell on its own ROS domain, with its files in a new folder."""
-    os.environ["ROS_DOMAIN_ID"] = str(free_ros_domain())
-    folder.mkdir()
-    with ExitStack() as stack:
-        cell = Cell(folder, seed, stack)
-        try:
-            yield cell
-        finally:
-            with suppress(RuntimeError):
-                cell.do("take_over")
-                cell.do("stop_all")
-
-
 def play(arguments: argparse.Namespace, rows: list[dict[str, Any]], folder: Path) -> None:
     """Run trials with one server, each written to the ledger at once."""
     part, done = arguments.part, sum(row["part"] == arguments.part for row in rows)
     end_s = time.monotonic() + 60.0 * arguments.minutes
     chromium = shutil.which("chromium") or ""
-    with served(folder / f"{part}-{done}", done) as cell, ExitStack() as stack:
+    place = folder / f"{part}-{done}"
+    with served(place, partial(Cell, place, done)) as cell, ExitStack() as stack:
         pages: list[PageProcess] = []
 
         def opened(browser: str = "") -> None:

@@ -18,23 +18,21 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import re
 import statistics
 import subprocess
 import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack
+from functools import partial
 from itertools import count
 from pathlib import Path
 from typing import Any
 
-from anyio.from_thread import start_blocking_portal
-
 sys.path.insert(0, str(Path(__file__).parent))
 from correcting_person import CorrectingPerson, Truth, policy_holds
+from page_cell import PageCell, served
 
 sys.path.pop(0)
 
@@ -43,9 +41,6 @@ from rn_policy_cubes.demonstrations import COLOURS
 from rn_policy_cubes.packing import Packed
 from rn_policy_cubes.weights import shipped_weights
 from rn_simulation.ground_truth import LIFTED_M
-from rn_standard.console.client import spawned_server
-from rn_testing.domain import free_ros_domain
-from rn_testing.waiting import wait_until
 from roboneuron import RoboNeuronError
 from roboneuron.ros.environment import prepare_environment
 
@@ -91,45 +86,6 @@ ATTEMPTS = 3
 CORRECTED, ALONE, FAILED, BROKEN = "corrected", "by the policy", "not corrected", "broken"
 
 
-class Cell:
-    """A server with its page and its agent."""
-
-    def __init__(self, folder: Path, config: str, stack: ExitStack) -> None:
-        path, log = folder / "roboneuron.toml", folder / "log.txt"
-        path.write_text(config)
-        self._portal = stack.enter_context(start_blocking_portal())
-        server = spawned_server(["--config", str(path)], log)
-        self._client = stack.enter_context(self._portal.wrap_async_context_manager(server))
-        for module in ("robot", "perception", "control"):
-            self.do(f"start_{module}")
-        self.do("start_inference")
-        pattern = r"live view is at (http://[\d.]+:\d+)"
-        wait_until(lambda: bool(re.search(pattern, log.read_text())), 60.0, poll_s=0.1)
-        self.url = re.findall(pattern, log.read_text())[0]
-
-    def do(self, tool: str, **arguments: Any) -> dict[str, Any]:
-        """Call a tool as the agent. Raises RuntimeError with the text of a failure."""
-        answer = self._portal.call(self._client.call_tool, tool, arguments)
-        if answer.is_error:
-            raise RuntimeError(str(answer.content))
-        return dict(answer.structured_content or {})
-
-
-@contextmanager
-def served(folder: Path, config: str) -> Iterator[Cell]:
-    """A cell on its own ROS domain, with its files in a new folder."""
-    os.environ["ROS_DOMAIN_ID"] = str(free_ros_domain())
-    folder.mkdir()
-    with ExitStack() as stack:
-        cell = Cell(folder, config, stack)
-        try:
-            yield cell
-        finally:
-            with suppress(RuntimeError):
-                cell.do("take_over")
-                cell.do("stop_all")
-
-
 def why_it_fails(truth: Truth, colour: str) -> str:
     """Watch the policy until it has lifted the cube (returns "") or fails (returns why)."""
     moved_s = time.monotonic()
@@ -158,7 +114,7 @@ def why_it_fails(truth: Truth, colour: str) -> str:
     return f"not lifted within {PATIENCE_S:g} s"
 
 
-def instruct(cell: Cell, instruction: str) -> None:
+def instruct(cell: PageCell, instruction: str) -> None:
     """Give an instruction; on a busy machine the first images may be too old to be acted on."""
     for attempt in range(1, ATTEMPTS + 1):
         try:
@@ -169,7 +125,7 @@ def instruct(cell: Cell, instruction: str) -> None:
                 raise
 
 
-def play(cell: Cell, truth: Truth, person: CorrectingPerson, colour: str) -> dict[str, Any]:
+def play(cell: PageCell, truth: Truth, person: CorrectingPerson, colour: str) -> dict[str, Any]:
     """One episode, recorded and labelled; returns its row of the ledger."""
     person.leads, person.led_s = 0, 0.0
     cell.do("take_over")
@@ -207,7 +163,8 @@ def play_scene(arguments: argparse.Namespace, seed: int, folder: Path, ledger: L
         seed=seed,
         displaced=json.dumps(arguments.displaced),
     )
-    with served(folder, config) as cell, ExitStack() as stack:
+    with served(folder, partial(PageCell, folder, config)) as cell, ExitStack() as stack:
+        cell.do("start_inference")
         truth = Truth("fr3", stack)
         person = CorrectingPerson(cell.url, truth)
         stack.callback(person.close)

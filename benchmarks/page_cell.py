@@ -1,0 +1,66 @@
+"""A served cell with the page and an agent, for scripted persons at the page."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+from typing import Any, TypeVar
+
+from anyio.from_thread import start_blocking_portal
+
+from rn_standard.console.client import spawned_server
+from rn_testing.domain import free_ros_domain
+from rn_testing.waiting import wait_until
+
+
+class PageCell:
+    """A server whose robot, perception and control run.
+
+    Args:
+        folder: for its configuration and log.
+        config: TOML text that enables the view.
+        stack: ends the server.
+
+    Attributes:
+        url: of the page.
+    """
+
+    def __init__(self, folder: Path, config: str, stack: ExitStack) -> None:
+        path, log = folder / "roboneuron.toml", folder / "log.txt"
+        path.write_text(config)
+        self._portal = stack.enter_context(start_blocking_portal())
+        server = spawned_server(["--config", str(path)], log)
+        self._client = stack.enter_context(self._portal.wrap_async_context_manager(server))
+        for module in ("robot", "perception", "control"):
+            self.do(f"start_{module}")
+        pattern = r"live view is at (http://[\d.]+:\d+)"
+        wait_until(lambda: bool(re.search(pattern, log.read_text())), 60.0, poll_s=0.1)
+        self.url = re.findall(pattern, log.read_text())[0]
+
+    def do(self, tool: str, **arguments: Any) -> dict[str, Any]:
+        """Call a tool as the agent. Raises RuntimeError with the text of a failure."""
+        answer = self._portal.call(self._client.call_tool, tool, arguments)
+        if answer.is_error:
+            raise RuntimeError(str(answer.content))
+        return dict(answer.structured_content or {})
+
+
+C = TypeVar("C", bound=PageCell)
+
+
+@contextmanager
+def served(folder: Path, make: Callable[[ExitStack], C]) -> Iterator[C]:
+    """A cell on its own ROS domain, with its files in a new folder."""
+    os.environ["ROS_DOMAIN_ID"] = str(free_ros_domain())
+    folder.mkdir()
+    with ExitStack() as stack:
+        cell = make(stack)
+        try:
+            yield cell
+        finally:
+            with suppress(RuntimeError):
+                cell.do("take_over")
+                cell.do("stop_all")
