@@ -122,11 +122,12 @@ def test_a_worse_challenger_is_not_promoted_but_what_it_learnt_from_is_kept(
 
 
 @pytest.mark.parametrize(
-    ("ordinary", "elsewhere", "is_promoted"),
+    ("ordinary", "elsewhere", "margin", "is_promoted"),
     [
-        (((0, 1), (0, 1)), ((0,), (0, 1)), True),
-        (((0, 1), (0,)), ((0,), (0, 1, 2)), False),
-        (((0,), (0, 1)), ((0, 1), (0,)), False),
+        (((0, 1), (0, 1)), ((0,), (0, 1)), 0.0, True),
+        (((0, 1), (0,)), ((0,), (0, 1, 2)), 0.0, False),
+        (((0, 1), (0,)), ((0,), (0, 1, 2)), 0.2, True),
+        (((0,), (0, 1)), ((0, 1), (0,)), 0.0, False),
     ],
 )
 def test_a_policy_is_promoted_if_it_is_worse_neither_on_ordinary_scenes_nor_elsewhere(
@@ -136,9 +137,10 @@ def test_a_policy_is_promoted_if_it_is_worse_neither_on_ordinary_scenes_nor_else
     tmp_path: Path,
     ordinary: tuple[tuple[int, ...], ...],
     elsewhere: tuple[tuple[int, ...], ...],
+    margin: float,
     is_promoted: bool,
 ) -> None:
-    plan = plan.model_copy(update={"suite_options": ("shift=light",)})
+    plan = plan.model_copy(update={"suite_options": ("shift=light",), "margin": margin})
     # the champion elsewhere comes first, so that a wrong option fails before the training
     judged[:5] = [elsewhere[0], *ordinary, *elsewhere]
     wheel = turn(tmp_path / "out", weights, plan)

@@ -8,13 +8,16 @@ import os
 import subprocess
 import sys
 import threading
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from rn_recorder_runs.files import Record
 from rn_recorder_runs.tap import TopicTap
+from rn_recorder_runs.video import CameraVideo, Codec
 
 SHOW_POLICY = """
 import os, threading
@@ -40,6 +43,21 @@ def test_its_threads_run_behind_those_of_others() -> None:
     )
     before, main, later = output.stdout.splitlines()
     assert main == later == f"{os.SCHED_BATCH} {min(19, int(before) + 10)}"
+
+
+@pytest.mark.skipif(
+    sys.platform != "linux" or os.geteuid() != 0, reason="only root's encoder takes a priority"
+)
+@pytest.mark.parametrize("codec", ["av1", "h264"])
+def test_an_export_has_no_real_time_thread(codec: Codec, tmp_path: Path) -> None:
+    before = os.sched_getscheduler(0)
+    video = CameraVideo(tmp_path / "camera.mp4", 10, codec)
+    video.add(np.zeros((64, 64, 3), np.uint8), times=3, every=1)
+    tasks = [task.name for task in Path("/proc/self/task").iterdir()]
+    policies = {os.sched_getscheduler(int(task)) for task in tasks}
+    video.close()
+    assert os.SCHED_FIFO not in policies
+    assert os.sched_getscheduler(0) == before
 
 
 class Handle:

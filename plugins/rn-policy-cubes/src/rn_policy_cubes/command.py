@@ -132,6 +132,14 @@ def _configure_improve(parser: ArgumentParser) -> None:
     )
     add("--time-limit", type=float, default=30.0, metavar="S", help="of a scene [s] (default: 30)")
     add(
+        "--margin",
+        type=float,
+        default=0.0,
+        metavar="SHARE",
+        help="promote although it solves up to this share of the scenes fewer, unless the paired "
+        "test finds that significant (default: 0)",
+    )
+    add(
         "--set",
         action="append",
         default=[],
@@ -161,6 +169,7 @@ def _improve(arguments: Namespace) -> int:
             seeds=arguments.seeds,
             time_limit_s=arguments.time_limit,
             suite_options=tuple(arguments.suite_option),
+            margin=arguments.margin,
         )
     except ValidationError as error:
         raise wrong_value(error) from None

@@ -60,6 +60,7 @@ class RoundPlan(BaseModel):
         time_limit_s: time limit of each scene [simulated s].
         corrections: names of the data sets with human corrections added in this round.
         suite_options: options of the suite, NAME=VALUE, of a second evaluation; empty for none.
+        margin: share of the scenes that a promoted challenger may solve fewer, see `PairedTest`.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -71,6 +72,7 @@ class RoundPlan(BaseModel):
     time_limit_s: float = Field(default=30.0, gt=0)
     corrections: tuple[str, ...] = ()
     suite_options: tuple[str, ...] = ()
+    margin: float = Field(default=0.0, ge=0, lt=1)
 
 
 def recipe_of_round(shards: int, steps: int, settings: Mapping[str, object]) -> Recipe:
@@ -167,7 +169,7 @@ class Wheel:
         self._train(number, plan, champion)
         tests = self._evaluate(number, plan, champion)
         if self.ledger.of(number, PROMOTED) is None and self.ledger.of(number, KEPT) is None:
-            is_worse = any(test.challenger < test.champion for test in tests.values())
+            is_worse = any(test.is_worse(plan.margin) for test in tests.values())
             difference = tests[ORDINARY].difference
             self.ledger.add(number, KEPT if is_worse else PROMOTED, {"difference": difference})
         return tests

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from math import comb
 
 CONFIDENCE = 0.95
+SIGNIFICANT = 0.05
 _HALVINGS = 50
 
 
@@ -36,6 +37,13 @@ class PairedTest:
     low: float
     high: float
     p_value: float
+
+    def is_worse(self, margin: float) -> bool:
+        """Whether the challenger counts as worse: it solves fewer by more than the margin (share of
+        the scenes, 0 .. 1), or by less and the test finds that significant.
+        """
+        is_significant = self.p_value < SIGNIFICANT
+        return self.difference < -margin or (self.difference < 0 and is_significant)
 
     def __str__(self) -> str:
         """Text for people."""

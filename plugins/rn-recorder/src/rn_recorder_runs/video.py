@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import os
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import ModuleType
 from typing import Literal
@@ -34,6 +38,29 @@ def load_av() -> ModuleType:
     av.logging.set_level(av.logging.ERROR)
     os.environ.setdefault("SVT_LOG", "1")  # the AV1 encoder writes its settings to stderr otherwise
     return av
+
+
+@contextmanager
+def at_own_priority() -> Iterator[None]:
+    """Threads that begin here, and the calling one, keep the scheduling policy that it has.
+
+    Because SVT-AV1 (seen with 4.1.0, as root) gives all of them SCHED_FIFO with the highest
+    priority when it is opened: an export would take the CPU from the control loop of an arm on this
+    machine.
+    """
+    if sys.platform != "linux":
+        yield
+        return
+    policy, parameter = os.sched_getscheduler(0), os.sched_getparam(0)
+    tasks = Path("/proc/self/task")
+    own = str(threading.get_native_id())
+    others = {task.name for task in tasks.iterdir()} - {own}
+    try:
+        yield
+    finally:
+        for task in {task.name for task in tasks.iterdir()} - others:
+            with suppress(ProcessLookupError):
+                os.sched_setscheduler(int(task), policy, parameter)
 
 
 class CameraVideo:
@@ -76,6 +103,8 @@ class CameraVideo:
                 )
             self._shape = image.shape
             self._stream.height, self._stream.width = image.shape[:2]
+            with at_own_priority():
+                self._stream.codec_context.open()
         if image.shape != self._shape:
             raise InvalidInputError(
                 f"An image has the shape {image.shape}, the first one had {self._shape}."
