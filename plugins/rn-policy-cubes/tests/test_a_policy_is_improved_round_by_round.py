@@ -5,6 +5,7 @@ that are not worse, and rollback.
 from __future__ import annotations
 
 import random
+import shutil
 import signal
 import subprocess
 import sys
@@ -77,6 +78,18 @@ def judged(monkeypatch: pytest.MonkeyPatch) -> list[tuple[int, ...]]:
     return solved
 
 
+@pytest.fixture
+def untrained(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rounds whose challenger is the champion: for tests of what follows the training."""
+
+    def copied(self: Wheel, number: int, plan: RoundPlan, champion: int) -> None:
+        self._weights(number).parent.mkdir(parents=True)
+        shutil.copyfile(self._weights(champion), self._weights(number))
+        self.ledger.add(number, "trained", {})
+
+    monkeypatch.setattr(Wheel, "_train", copied)
+
+
 def quiet(line: str) -> None:
     """Print nothing."""
 
@@ -106,6 +119,7 @@ def test_a_better_challenger_is_promoted_and_rolled_back(
         again.roll_back()
 
 
+@pytest.mark.usefixtures("untrained")
 def test_a_worse_challenger_is_not_promoted_but_what_it_learnt_from_is_kept(
     judged: list[tuple[int, ...]], weights: Path, plan: RoundPlan, tmp_path: Path
 ) -> None:
@@ -121,6 +135,7 @@ def test_a_worse_challenger_is_not_promoted_but_what_it_learnt_from_is_kept(
         assert len(np.load(rows)) == plan.views
 
 
+@pytest.mark.usefixtures("untrained")
 @pytest.mark.parametrize(
     ("ordinary", "elsewhere", "margin", "is_promoted"),
     [
@@ -139,8 +154,11 @@ def test_a_policy_is_promoted_if_it_is_worse_neither_on_ordinary_scenes_nor_else
     elsewhere: tuple[tuple[int, ...], ...],
     margin: float,
     is_promoted: bool,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     plan = plan.model_copy(update={"suite_options": ("shift=light",), "margin": margin})
+    monkeypatch.setattr(improving, "record", lambda *where, **what: None)
+    monkeypatch.setattr(Wheel, "_roll_out", lambda *round_: None)
     # the champion elsewhere comes first, so that a wrong option fails before the training
     judged[:5] = [elsewhere[0], *ordinary, *elsewhere]
     wheel = turn(tmp_path / "out", weights, plan)
