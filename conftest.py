@@ -119,6 +119,17 @@ def _pauses_of_the_interpreter(
         _freeze()
 
 
+@pytest.fixture(autouse=True, scope="module")
+def _priority() -> Iterator[None]:
+    """A test of root that leaves this process with real-time priority would slow all others."""
+    if sys.platform != "linux":
+        yield
+        return
+    before = os.sched_getscheduler(0)
+    yield
+    assert os.sched_getscheduler(0) == before, "a test changed the scheduling policy of its process"
+
+
 @pytest.fixture
 def wheels(server_environment: dict[str, str], tmp_path: Path) -> Iterator[CommandedWheels]:
     """What the wheels of the robot of `server_environment` are told."""
