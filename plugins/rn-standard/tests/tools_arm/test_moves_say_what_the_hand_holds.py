@@ -46,6 +46,8 @@ class Arm:
         self.highest_m = TABLE_M
         self.listeners: list[Callable[[float], object]] = []
         self.slips_at_s = float("inf")
+        self.pause_s = 0.0
+        """Time that passes before each move."""
         self.max_duration_s = 120.0
         self.phase = "running"
 
@@ -95,6 +97,7 @@ class Arm:
         halt: threading.Event,
         details: Callable[[], str] = lambda: "",
     ) -> Sent:
+        self.now_s += self.pause_s
         began_s, sent = self.now_s, 0
         for command in commands:
             if command.message is not None:
@@ -253,3 +256,12 @@ def test_what_is_lost_while_it_is_carried_ends_the_call(arm: Arm) -> None:
     arm.slips_at_s = arm.now_s + 1.0
     with pytest.raises(StateError, match="lost what it held"):
         place(arm, height, dy_m=0.4)
+
+
+def test_what_is_lost_between_two_moves_ends_the_call(arm: Arm) -> None:
+    height = watched(arm)
+    arm.close_hand()
+    arm.pause_s, arm.slips_at_s = 0.5, arm.now_s + 0.3
+    with pytest.raises(StateError, match="lost what it held"):
+        place(arm, height, dy_m=0.1)
+    assert 1.0 not in arm.grips, "it is not let go somewhere else"

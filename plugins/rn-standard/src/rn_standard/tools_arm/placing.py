@@ -157,7 +157,12 @@ class Placer:
         start = await context.run(lambda _: self.mover.pose())
         route = self.route(arguments, start)
         for move in route.carry:
-            _check(await self.mover(move, context))
+            moved = await self.mover(move, context)
+            _check(moved)
+            if moved.holding is False:  # also what was lost between two moves
+                raise StateError(
+                    f"The hand has lost what it held, at {moved.position_m} m or before."
+                )
         opened = await self.mover(route.release, context)
         for move in route.leave:
             _check(await self.mover(move, context))
@@ -220,11 +225,9 @@ def _pieces(**delta: float) -> Iterator[MoveEndEffector]:
 
 
 def _check(moved: EndEffectorMove) -> None:
-    """Raise RefusedError if nothing was moved, and StateError if the hand has lost the object."""
+    """Raise RefusedError if nothing was moved."""
     if moved.dry_run or not moved.allowed:
         raise RefusedError(f"The arm was not moved: {moved.reason or 'dry run'}.", rule="dry_run")
-    if moved.lost_on_the_way:
-        raise StateError(f"The hand has lost what it held, at {moved.position_m} m or before.")
 
 
 class PlaceOfArm:
