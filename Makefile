@@ -14,7 +14,7 @@ PYTHONS ?= python3.11 python3.12 python3.13
 JOBS ?= 2
 # Many of these tests wait for something, so more of them than cores run at a time.
 UNIT_JOBS ?= 4
-ROS_JOBS ?= 3
+ROS_JOBS ?= 4
 # A ROS test that failed runs once more, and the summary names it: a rerun is a fault to look into.
 RERUN := --reruns 1 -raR
 
