@@ -107,4 +107,5 @@ def test_the_driver_opens_and_tells_when_the_controller_has_died(stand_in):
     told = json.loads(done.stdout)
     assert told["controller"] == "active"
     assert told["gripper_open"] == pytest.approx(1.0)
+    assert "silent" in told["last_words"]
     assert "/fr3_arm_controller last reported its state" in told["last_words"]

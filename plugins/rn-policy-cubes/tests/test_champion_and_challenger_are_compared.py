@@ -21,7 +21,7 @@ def test_it_is_the_exact_test(differing: tuple[int, int]) -> None:
     if not count:
         assert (test.difference, test.low, test.high, test.p_value) == (0.0, 0.0, 0.0, 1.0)
         return
-    from scipy import stats
+    from scipy import stats  # heavy
 
     expected = stats.binomtest(differing[1], count, 0.5)
     assert test.p_value == pytest.approx(expected.pvalue, abs=1e-12)

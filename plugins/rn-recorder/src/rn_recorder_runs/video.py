@@ -60,7 +60,8 @@ def at_own_priority() -> Iterator[None]:
     finally:
         for task in {task.name for task in tasks.iterdir()} - others:
             with suppress(ProcessLookupError):
-                os.sched_setscheduler(int(task), policy, parameter)
+                if os.sched_getscheduler(int(task)) != policy:
+                    os.sched_setscheduler(int(task), policy, parameter)
 
 
 class CameraVideo:
