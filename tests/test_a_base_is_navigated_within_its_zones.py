@@ -18,6 +18,7 @@ import pytest
 
 from rn_standard.demo.agent import module_status
 from rn_testing.agent import Agent, client_of
+from rn_testing.waiting import wait_for_line
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(180)]
 EXAMPLES = Path(__file__).parents[1] / "examples"
@@ -60,8 +61,7 @@ class Bench:
             [*command, *options], env=self._environment, stdout=subprocess.PIPE, text=True
         )
         self._processes.append(process)
-        assert process.stdout is not None
-        assert process.stdout.readline() == "navigate_to_pose is offered\n"
+        wait_for_line(process.stdout, "navigate_to_pose is offered")
 
     @asynccontextmanager
     async def agent(self) -> AsyncIterator[BaseAgent]:

@@ -19,6 +19,7 @@ from rn_controller_urdf.controller import UrdfController
 from rn_robot_fr3.limits import ARM_JOINTS
 from rn_robot_fr3.profile import HOME_RAD, profile
 from rn_testing.agent import Agent, client_of
+from rn_testing.waiting import wait_for_line
 from roboneuron import JointSample
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(180)]
@@ -156,8 +157,7 @@ class Cell:
         self._planner = subprocess.Popen(
             command, env=environment, stdout=subprocess.PIPE, text=True
         )
-        assert self._planner.stdout is not None
-        assert self._planner.stdout.readline() == "move_action is offered\n"
+        wait_for_line(self._planner.stdout, "move_action is offered")
 
     @asynccontextmanager
     async def agent(self) -> AsyncIterator[ArmAgent]:

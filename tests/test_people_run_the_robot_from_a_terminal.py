@@ -17,6 +17,7 @@ from pathlib import Path
 import pytest
 
 from rn_testing.domain import free_ros_domain
+from rn_testing.waiting import wait_for_line
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(300)]
 ROBONEURON = [sys.executable, "-P", "-m", "roboneuron.cli.main"]
@@ -49,17 +50,6 @@ def going_on(environment: dict[str, str], *words: str) -> Iterator[subprocess.Po
             if process.poll() is None:
                 process.send_signal(signal.SIGINT)
                 process.wait(timeout=60)
-
-
-def wait_for_line(process: subprocess.Popen[str], words: str) -> None:
-    assert process.stderr is not None
-    assert process.stdout is not None
-    lines = []
-    for line in process.stderr if "Ctrl-C" in words else process.stdout:
-        lines.append(line)
-        if words in line:
-            return
-    pytest.fail(f"{words!r} is not in {lines}")
 
 
 def modules_of(server: int) -> list[int]:
@@ -115,7 +105,7 @@ def test_a_run_that_comes_to_nothing_says_so(
 
 def test_an_interrupted_run_stops_everything(environment: dict[str, str]) -> None:
     with going_on(environment, "run", "pick up the red cube") as process:
-        wait_for_line(process, "start robot")
+        wait_for_line(process.stdout, "start robot")
         server = modules_of(process.pid)
         assert server
         process.send_signal(signal.SIGINT)
@@ -129,7 +119,7 @@ def test_an_interrupted_run_stops_everything(environment: dict[str, str]) -> Non
 
 def test_status_and_logs_show_what_a_kept_server_runs(environment: dict[str, str]) -> None:
     with going_on(environment, "call", "start_robot", "--then", "get_status", "--keep") as process:
-        wait_for_line(process, "running until Ctrl-C: the server of this command, robot")
+        wait_for_line(process.stderr, "running until Ctrl-C: the server of this command, robot")
         shown = roboneuron(environment, "status", "--json")
         assert shown.returncode == 0, shown.stdout + shown.stderr
         (status,) = json.loads(shown.stdout)

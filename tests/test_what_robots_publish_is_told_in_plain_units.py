@@ -23,6 +23,7 @@ from rn_standard.tools_ros.detections import GetDetections, detections_of
 from rn_standard.tools_ros.newest import GetNewest
 from rn_testing.agent import Agent, client_of
 from rn_testing.domain import free_ros_domain
+from rn_testing.waiting import wait_for_line
 
 HERE = Path(__file__).parent
 EXAMPLES = HERE.parent / "examples"
@@ -181,8 +182,7 @@ def test_the_age_is_that_of_the_picture(user: dict[str, str]) -> None:
 def talker(user: dict[str, str]) -> Iterator[subprocess.Popen[str]]:
     command = [sys.executable, str(HERE / "sensor_talker.py"), "diffdrive"]
     with subprocess.Popen(command, env=user, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        assert process.stdout.readline() == "talking\n"
+        wait_for_line(process.stdout, "talking")
         yield process
         process.terminate()
 
@@ -236,8 +236,7 @@ def test_an_agent_asks_a_server_for_them(
             ("pose.position.x", 2.5),
             ("pose.position.y", 1.0),
         ]
-        assert talker.stdout is not None
-        assert talker.stdout.readline() == "map 2.5 1.0\n"
+        wait_for_line(talker.stdout, "map 2.5 1.0")
         assert "in the zone 'stairs'" in await agent.fail("publish_goal", **goal(1.0, "camera"))
         assert "pose.position.x is" in await agent.fail("publish_goal", **goal(4.0, "camera"))
         assert "s old, allowed is 1 s" in await agent.fail("publish_goal", **goal(0.0, "late"))

@@ -15,7 +15,7 @@ from typing import Any
 import psutil
 import pytest
 
-from rn_testing.waiting import wait_until
+from rn_testing.waiting import wait_for_line, wait_until
 
 ROOT = Path(__file__).parents[2]
 HERE = Path(__file__).parent
@@ -92,9 +92,8 @@ def running(command: list[str], environment: dict[str, str]) -> Iterator[subproc
         command, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     ) as process:
         assert process.stdin is not None
-        assert process.stdout is not None
         try:
-            assert process.stdout.readline() == "there\n"
+            wait_for_line(process.stdout, "there")
             yield process
         finally:
             process.stdin.close()

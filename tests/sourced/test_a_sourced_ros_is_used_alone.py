@@ -17,6 +17,7 @@ import pytest
 from mcp import Client, StdioServerParameters
 
 from rn_testing.domain import free_ros_domain
+from rn_testing.waiting import wait_for_line
 
 ROOT = Path(__file__).parents[2]
 KILTED = ROOT / ".venv-kilted"
@@ -147,9 +148,8 @@ def own_node(shell: dict[str, str]) -> Iterator[None]:
         stdout=subprocess.PIPE,
         text=True,
     ) as process:
-        assert process.stdout is not None
         assert process.stdin is not None
-        assert process.stdout.readline() == "there\n"
+        wait_for_line(process.stdout, "there")
         yield
         process.stdin.close()
         try:

@@ -30,6 +30,7 @@ from rn_interfaces.finder import PREFIXES
 from rn_interfaces.learning import learn
 from rn_interfaces.sources import definitions
 from rn_interfaces.store import DefinitionStore
+from rn_testing.waiting import wait_for_line
 from roboneuron.ros.environment import prepare_environment
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(240)]
@@ -278,8 +279,7 @@ def test_another_definition_of_the_type_is_refused(store: DefinitionStore, tmp_p
         [sys.executable, "-c", OTHER], env=other, stdout=subprocess.PIPE, text=True
     ) as process:
         try:
-            assert process.stdout is not None
-            assert process.stdout.readline() == "there\n"
+            wait_for_line(process.stdout, "there")
             anyio.run(scenario)
         finally:
             _end(process)

@@ -22,7 +22,7 @@ from rn_interfaces.sources import definitions
 from rn_interfaces.store import DefinitionStore, Name
 from rn_interfaces_learning.nodes import NodeGraph, ask_nodes
 from rn_testing.domain import free_ros_domain
-from rn_testing.waiting import wait_until
+from rn_testing.waiting import wait_for_line, wait_until
 from roboneuron.ros.environment import prepare_environment
 from roboneuron.ros.link import RosLink
 
@@ -51,8 +51,7 @@ def serving(nodes: NodeGraph, data: Path, *words: str, prefix: str) -> Iterator[
     command = [sys.executable, str(Path(__file__).with_name("serving_node.py")), *words]
     with subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) as process:
         try:
-            assert process.stdout is not None
-            assert process.stdout.readline() == "there\n"
+            wait_for_line(process.stdout, "there")
             services = ["/served", "/run/_action/send_goal", "/run/_action/get_result"]
             for service in services:
                 wait_until(lambda s=service: all(nodes.service_endpoints(s)), WAIT_S)

@@ -21,6 +21,7 @@ from mcp import Client, StdioServerParameters, types
 from PIL import Image
 
 from rn_testing.fakes import gradient_image
+from rn_testing.waiting import wait_for_line
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(120)]
 ServeCommand = Callable[..., list[str]]
@@ -236,11 +237,10 @@ def test_an_image_topic_of_another_type_is_refused(
 
     environment = {**server_environment, "ROS_LOG_DIR": str(tmp_path)}
     with subprocess.Popen(
-        [sys.executable, "-c", script], env=environment, stdout=subprocess.PIPE
+        [sys.executable, "-c", script], env=environment, stdout=subprocess.PIPE, text=True
     ) as stranger:
         try:
-            assert stranger.stdout is not None
-            assert stranger.stdout.readline() == b"up\n"
+            wait_for_line(stranger.stdout, "up")
             run_agent(serve_command(), server_environment, scenario)
         finally:
             stranger.kill()

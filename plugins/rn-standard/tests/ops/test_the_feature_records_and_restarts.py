@@ -226,7 +226,9 @@ def test_faults_are_recorded_and_perception_is_restarted(
             async def recorded(wanted: set[tuple[str, str]]) -> list[dict[str, Any]]:
                 with anyio.fail_after(20):
                     while True:
-                        found: list[dict[str, Any]] = (await do("list_incidents"))["incidents"]
+                        found: list[dict[str, Any]] = (await do("list_incidents", entries=100))[
+                            "incidents"
+                        ]
                         if wanted <= {(i["module"], i["what"]) for i in found}:
                             return found
                         await anyio.sleep(0.05)

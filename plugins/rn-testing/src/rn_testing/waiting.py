@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 
 def holds_within(
@@ -34,3 +34,23 @@ def wait_until(
     if not holds_within(condition, timeout_s, poll_s=poll_s):
         raise AssertionError(f"not within {timeout_s:g} s: {what}")
     return time.monotonic() - begun_s
+
+
+def wait_for_line(output: Iterable[str] | None, words: str) -> str:
+    """Read the output of a process until a line contains `words`; return this line.
+
+    Other lines are passed over, because ROS libraries print warnings there (Fast DDS, of a port
+    in use, on the standard output). Not bounded: the test's own timeout applies.
+
+    Args:
+        output: `stdout` or `stderr` of a process that was started with `text=True` and a pipe.
+
+    Raises:
+        AssertionError: the output ended without it; the text contains the lines.
+    """
+    lines: list[str] = []
+    for line in output or ():
+        if words in line:
+            return line
+        lines.append(line)
+    raise AssertionError(f"the output ended without {words!r}: {lines}")

@@ -16,6 +16,7 @@ from page_client import PageClient
 from view_fakes import HOME, joints, profile
 from view_page import wait_until
 
+from rn_testing.waiting import wait_for_line
 from rn_view.teleoperation.slider_goal import LEAD_PATH, RENEWED_S, SliderGoal
 from roboneuron import NotReadyError, RefusedError
 
@@ -173,8 +174,7 @@ def test_a_page_leads_on_while_its_browser_answers_and_not_after(serve, source) 
         try:
             wait_until(lambda: "joint_states" in source.subscribed)
             source.send("joint_states", joints(**HOME))
-            assert process.stdout is not None
-            assert process.stdout.readline() == "leads\n"
+            wait_for_line(process.stdout, "leads")
             wait_until(lambda: ask(url)[0] == 200)
             process.send_signal(signal.SIGSTOP)
             wait_until(lambda: ask(url)[0] == 409)
