@@ -86,6 +86,7 @@ async def _scenario(config: Path, log: Path) -> None:
         await agent.call("stop_all")
 
 
+@pytest.mark.exhaustive
 @pytest.mark.ros
 @pytest.mark.timeout(180)
 def test_what_a_policy_or_a_caller_says_wrongly_of_two_arms(

@@ -53,6 +53,7 @@ def test_the_curve_tells_losses_and_held_out_figures(
     assert 0 <= figures[-1]["held_out_turn_rad"] <= math.pi / 4
 
 
+@pytest.mark.exhaustive
 def test_losses_fall(recipe: Recipe, shards: Path, tmp_path: Path) -> None:
     longer = recipe.model_copy(update={"steps": 40, "full_from": 1.0, "cool_down": 0.0, "views": 8})
     train(longer, tmp_path, shards, say=quiet, schedule=Schedule(log_every=10))

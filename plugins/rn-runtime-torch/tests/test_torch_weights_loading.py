@@ -163,6 +163,7 @@ print(peak() - before)
 """  # noqa: E501
 
 
+@pytest.mark.exhaustive
 def test_loading_needs_no_more_host_memory_than_the_model_and_a_shard(tmp_path, toy):
     """Peak resident memory of a new process, above its initial value, for a bfloat16 model of 80 MB
     in 4 shards.
