@@ -2,25 +2,32 @@
 
 from __future__ import annotations
 
-import json
-import os
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from rn_policy_cubes.command_options import (
+    add_computing,
+    add_packing,
+    add_settings,
+    add_training,
+    add_unpacking,
+    data_of,
+    say,
+    told_settings,
+    use_threads,
+    values_checked,
+)
 from rn_policy_cubes.flow.command import configure_flow, run_flow
 from rn_policy_cubes.monitor.command import configure_monitor, run_monitor
 from roboneuron import ConfigurationError
 
 if TYPE_CHECKING:
-    from pydantic import ValidationError
-
     from rn_policy_cubes.packing import Packed
     from rn_policy_cubes.recipe import Recipe
 
 DEFAULT_DIRECTORY = Path("out/train-cubes")
 IMPROVED_DIRECTORY = Path("out/improve-cubes")
-_FUSE_HELP = "compile the layers: half the time; needs C++"
 
 
 class CubesPolicy:
@@ -34,29 +41,7 @@ class CubesPolicy:
             dest="action", required=True, metavar="ACTION", help="action to run"
         )
         train = actions.add_parser("train", help="make demonstrations and train, or continue")
-        train.add_argument(
-            "--out", type=Path, default=DEFAULT_DIRECTORY, help="default: %(default)s"
-        )
-        train.add_argument(
-            "--data", type=Path, help="folder of the demonstrations; default: OUT/demonstrations"
-        )
-        train.add_argument(
-            "--set",
-            action="append",
-            default=[],
-            metavar="NAME=VALUE",
-            help="set a value of the recipe: steps=500",
-        )
-        train.add_argument(
-            "--until", type=int, metavar="STEP", help="stop at this step, to continue later"
-        )
-        train.add_argument(
-            "--workers", type=int, default=1, help="processes that make demonstrations (default: 1)"
-        )
-        train.add_argument(
-            "--threads", type=int, default=1, help="threads of the training on a CPU (default: 1)"
-        )
-        train.add_argument("--fuse", action="store_true", help=_FUSE_HELP)
+        add_training(train, DEFAULT_DIRECTORY)
         _configure_improve(
             actions.add_parser(
                 "improve",
@@ -71,16 +56,11 @@ class CubesPolicy:
             actions.add_parser("monitor", help="train and judge the monitor of success")
         )
         pack = actions.add_parser("pack", help="write the trained weights as one small file")
-        pack.add_argument(
-            "--out", type=Path, default=DEFAULT_DIRECTORY, help="folder of the training"
-        )
-        pack.add_argument("--to", type=Path, required=True, metavar="FILE", help="the packed file")
-        unpack = actions.add_parser(
-            "unpack", help="write a checkpoint that the backend oft-primary loads"
-        )
-        unpack.add_argument("directory", type=Path, help="a new or empty folder")
-        unpack.add_argument(
-            "--weights", type=Path, help="a packed file; default: the one in this package"
+        add_packing(pack, DEFAULT_DIRECTORY)
+        add_unpacking(
+            actions.add_parser(
+                "unpack", help="write a checkpoint that the backend oft-primary loads"
+            )
         )
         configure_flow(actions.add_parser("flow", help="the same skill as a pi0 flow policy"))
 
@@ -94,7 +74,7 @@ class CubesPolicy:
             case "rollback":
                 return _roll_back(arguments)
             case "monitor":
-                return _monitor(arguments)
+                return run_monitor(arguments)
             case "pack":
                 return _pack(arguments)
             case "flow":
@@ -139,31 +119,20 @@ def _configure_improve(parser: ArgumentParser) -> None:
         help="promote although it solves up to this share of the scenes fewer, unless the paired "
         "test finds that significant (default: 0)",
     )
-    add(
-        "--set",
-        action="append",
-        default=[],
-        metavar="NAME=VALUE",
-        help="set a value of the training's recipe: rate=0.0005",
-    )
-    add("--threads", type=int, default=1, help="threads of the training on a CPU (default: 1)")
-    add("--fuse", action="store_true", help=_FUSE_HELP)
+    add_settings(parser, "rate=0.0005")
+    add_computing(parser)
 
 
 def _improve(arguments: Namespace) -> int:
     """Run the rounds; status 0 also if the champion stays."""
-    os.environ["OMP_NUM_THREADS"] = str(arguments.threads)
-    import torch
-    from pydantic import ValidationError
-
+    use_threads(arguments.threads)
     from rn_policy_cubes.improvement_ledger import alone_in
     from rn_policy_cubes.improving import ELSEWHERE, RoundPlan, Wheel, recipe_of_round
     from rn_policy_cubes.weights import shipped_weights
 
-    torch.set_num_threads(arguments.threads)
-    try:
+    with values_checked():
         plan = RoundPlan(
-            recipe=recipe_of_round(arguments.shards, arguments.steps, settings_of(arguments.set)),
+            recipe=recipe_of_round(arguments.shards, arguments.steps, told_settings(arguments.set)),
             rollouts=arguments.rollouts,
             views=arguments.views,
             seeds=arguments.seeds,
@@ -171,8 +140,6 @@ def _improve(arguments: Namespace) -> int:
             suite_options=tuple(arguments.suite_option),
             margin=arguments.margin,
         )
-    except ValidationError as error:
-        raise wrong_value(error) from None
     with alone_in(arguments.out):
         wheel = Wheel(arguments.out, say, fuse=arguments.fuse)
         number = wheel.begin(arguments.weights or shipped_weights(), plan, arguments.corrections)
@@ -184,11 +151,6 @@ def _improve(arguments: Namespace) -> int:
         say("the challenger is promoted" if is_promoted else "it is worse: the champion stays")
         say(f"the champion: {wheel.checkpoint(wheel.champion)}")
     return 0
-
-
-def _monitor(arguments: Namespace) -> int:
-    os.environ["OMP_NUM_THREADS"] = str(getattr(arguments, "threads", 1))
-    return run_monitor(arguments, settings_of(getattr(arguments, "set", [])), say)
 
 
 def _roll_back(arguments: Namespace) -> int:
@@ -208,15 +170,12 @@ def _roll_back(arguments: Namespace) -> int:
 
 
 def _train(arguments: Namespace) -> int:
-    os.environ["OMP_NUM_THREADS"] = str(arguments.threads)
-    import torch
-
+    use_threads(arguments.threads)
     from rn_policy_cubes.record import record
     from rn_policy_cubes.training import train
 
-    torch.set_num_threads(arguments.threads)
     recipe = _recipe(arguments.set)
-    data = arguments.data or arguments.out / "demonstrations"
+    data = data_of(arguments)
     record(data, recipe.shards, workers=arguments.workers, say=say)
     training = train(
         recipe, arguments.out, data, until=arguments.until, fuse=arguments.fuse, say=say
@@ -225,40 +184,11 @@ def _train(arguments: Namespace) -> int:
     return 0
 
 
-def say(line: str) -> None:
-    """Print immediately, also into a file or a pipe."""
-    print(line, flush=True)
-
-
 def _recipe(settings: list[str]) -> Recipe:
-    from pydantic import ValidationError
-
     from rn_policy_cubes.recipe import Recipe
 
-    try:
-        return Recipe.model_validate({"light": 0.6} | settings_of(settings))
-    except ValidationError as error:
-        raise wrong_value(error) from None
-
-
-def wrong_value(error: ValidationError) -> ConfigurationError:
-    """The error of a value that a recipe refuses."""
-    first = error.errors()[0]
-    return ConfigurationError(f"{'.'.join(map(str, first['loc']))}: {first['msg']}.")
-
-
-def settings_of(settings: list[str]) -> dict[str, object]:
-    """Values by name of `--set` options. Raises ConfigurationError."""
-    values: dict[str, object] = {}
-    for setting in settings:
-        name, equals, value = setting.partition("=")
-        if not equals:
-            raise ConfigurationError(f"--set {setting} does not have the form NAME=VALUE.")
-        try:
-            values[name] = json.loads(value)
-        except ValueError:
-            values[name] = value
-    return values
+    with values_checked():
+        return Recipe.model_validate({"light": 0.6} | told_settings(settings))
 
 
 def _pack(arguments: Namespace) -> int:

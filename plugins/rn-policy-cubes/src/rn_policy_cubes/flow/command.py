@@ -2,9 +2,19 @@
 
 from __future__ import annotations
 
-import os
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
+
+from rn_policy_cubes.command_options import (
+    add_packing,
+    add_training,
+    add_unpacking,
+    data_of,
+    say,
+    told_settings,
+    use_threads,
+    values_checked,
+)
 
 FLOW_DIRECTORY = Path("out/train-flow")
 
@@ -15,10 +25,8 @@ def configure_flow(parser: ArgumentParser) -> None:
         dest="flow_action", required=True, metavar="ACTION", help="action to run"
     )
     train = actions.add_parser("train", help="make demonstrations and train, or continue")
-    add = train.add_argument
-    add("--out", type=Path, default=FLOW_DIRECTORY, help="default: %(default)s")
-    add("--data", type=Path, help="folder of the demonstrations; default: OUT/demonstrations")
-    add(
+    add_training(train, FLOW_DIRECTORY)
+    train.add_argument(
         "--more",
         type=int,
         action="append",
@@ -26,24 +34,10 @@ def configure_flow(parser: ArgumentParser) -> None:
         metavar="NUMBER",
         help="number of a further shard in that folder, such as a rollout's; repeatable",
     )
-    add(
-        "--set",
-        action="append",
-        default=[],
-        metavar="NAME=VALUE",
-        help="set a value of the recipe: steps=500",
-    )
-    add("--until", type=int, metavar="STEP", help="stop at this step, to continue later")
-    add("--workers", type=int, default=1, help="processes that make demonstrations (default: 1)")
-    add("--threads", type=int, default=1, help="threads of the training on a CPU (default: 1)")
-    add("--fuse", action="store_true", help="compile the layers: half the time; needs C++")
     pack = actions.add_parser("pack", help="write the trained weights as one small file")
-    pack.add_argument("--out", type=Path, default=FLOW_DIRECTORY, help="folder of the training")
-    pack.add_argument("--to", type=Path, required=True, metavar="FILE", help="the packed file")
-    unpack = actions.add_parser("unpack", help="write a checkpoint that the backend pi0 loads")
-    unpack.add_argument("directory", type=Path, help="a new or empty folder")
-    unpack.add_argument(
-        "--weights", type=Path, help="a packed file; default: the one in this package"
+    add_packing(pack, FLOW_DIRECTORY)
+    add_unpacking(
+        actions.add_parser("unpack", help="write a checkpoint that the backend pi0 loads")
     )
 
 
@@ -59,21 +53,14 @@ def run_flow(arguments: Namespace) -> int:
 
 
 def _train(arguments: Namespace) -> int:
-    os.environ["OMP_NUM_THREADS"] = str(arguments.threads)
-    import torch
-    from pydantic import ValidationError
-
-    from rn_policy_cubes.command import say, settings_of, wrong_value
+    use_threads(arguments.threads)
     from rn_policy_cubes.flow.recipe import FlowRecipe
     from rn_policy_cubes.flow.training import train_flow
     from rn_policy_cubes.record import record
 
-    try:
-        recipe = FlowRecipe.model_validate(settings_of(arguments.set))
-    except ValidationError as error:
-        raise wrong_value(error) from None
-    torch.set_num_threads(arguments.threads)
-    data = arguments.data or arguments.out / "demonstrations"
+    with values_checked():
+        recipe = FlowRecipe.model_validate(told_settings(arguments.set))
+    data = data_of(arguments)
     record(data, recipe.shards, workers=arguments.workers, say=say)
     training = train_flow(
         recipe,

@@ -4,10 +4,18 @@ from __future__ import annotations
 
 import json
 from argparse import ArgumentParser, Namespace
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from rn_policy_cubes.command_options import (
+    add_settings,
+    add_threads,
+    say,
+    told_settings,
+    use_threads,
+    values_checked,
+)
 from roboneuron import ConfigurationError
 
 if TYPE_CHECKING:
@@ -44,7 +52,6 @@ EPISODES: Mapping[str, Mapping[str, tuple[int, int]]] = {
 """First and end of the numbers of episodes by kind: for training, for the choice of the
 thresholds, and unseen ones to judge. All are of different scenes.
 """
-Say = Callable[[str], None]
 _TRAINED, _PACKED = "trained.safetensors", "cubes-monitor.safetensors"
 
 
@@ -60,27 +67,21 @@ def configure_monitor(parser: ArgumentParser) -> None:
         add("--out", type=Path, default=MONITOR_DIRECTORY, help="default: %(default)s")
         add("--share", type=float, default=1.0, help="share of the episodes (default: 1)")
         if name == "train":
-            add("--threads", type=int, default=1, help="threads on a CPU (default: 1)")
-            add(
-                "--set",
-                action="append",
-                default=[],
-                metavar="NAME=VALUE",
-                help="set a value of the recipe: steps=500",
-            )
+            add_threads(step)
+            add_settings(step)
         else:
             add("--weights", type=Path, help="default: OUT/cubes-monitor.safetensors if it exists")
 
 
-def run_monitor(arguments: Namespace, settings: Mapping[str, object], say: Say) -> int:
+def run_monitor(arguments: Namespace) -> int:
     """Run `roboneuron cubes-policy monitor`."""
     if not 0.0 < arguments.share <= 1.0:
         raise ConfigurationError(
             f"--share is {arguments.share:g}, expected more than 0 and up to 1."
         )
     if arguments.step == "train":
-        return _train(arguments, settings, say)
-    return _evaluate(arguments, say)
+        return _train(arguments)
+    return _evaluate(arguments)
 
 
 def episodes_of(split: str, share: float) -> dict[str, int]:
@@ -90,7 +91,7 @@ def episodes_of(split: str, share: float) -> dict[str, int]:
     }
 
 
-def recorded(out: Path, split: str, share: float, say: Say) -> list[Path]:
+def recorded(out: Path, split: str, share: float) -> list[Path]:
     """Record the episodes of a split that are missing; return the files of all."""
     from rn_policy_cubes.monitor.episodes import path_of, write_episode
     from rn_policy_cubes.progress import Progress
@@ -110,41 +111,35 @@ def recorded(out: Path, split: str, share: float, say: Say) -> list[Path]:
     return sorted(path_of(directory, kind, index) for kind, index in order)
 
 
-def _train(arguments: Namespace, settings: Mapping[str, object], say: Say) -> int:
-    import torch
-    from pydantic import ValidationError
-
+def _train(arguments: Namespace) -> int:
+    use_threads(arguments.threads)
     from rn_policy_cubes.monitor.fitting import MonitorRecipe, fit
     from rn_policy_cubes.monitor.layers import MonitorLayers
     from rn_policy_cubes.monitor.samples import Samples
     from rn_policy_cubes.monitor.weights import MonitorCard, MonitorWeights
 
-    torch.set_num_threads(arguments.threads)
     out, share = arguments.out, arguments.share
-    try:
-        recipe = MonitorRecipe.model_validate(settings)
-    except ValidationError as error:
-        first = error.errors()[0]
-        raise ConfigurationError(f"{'.'.join(map(str, first['loc']))}: {first['msg']}.") from None
-    paths = recorded(out, "train", share, say)
+    with values_checked():
+        recipe = MonitorRecipe.model_validate(told_settings(arguments.set))
+    paths = recorded(out, "train", share)
     network, step = fit(Samples.read(paths), recipe, out, say)
     card = MonitorCard(recipe=recipe.model_dump(), step=step, episodes=episodes_of("train", share))
     weights = MonitorWeights(card, MonitorLayers(network.tensors()))
     weights.write(out / _TRAINED)
     # as a task reads them: in half precision
-    calibrated = _calibrated(MonitorWeights.read(out / _TRAINED), out, share, say)
+    calibrated = _calibrated(MonitorWeights.read(out / _TRAINED), out, share)
     calibrated.write(out / _PACKED)
     say(f"{out / _PACKED}: {(out / _PACKED).stat().st_size / 1e3:.0f} kB")
     return 0
 
 
-def _calibrated(weights: MonitorWeights, out: Path, share: float, say: Say) -> MonitorWeights:
+def _calibrated(weights: MonitorWeights, out: Path, share: float) -> MonitorWeights:
     from rn_policy_cubes.monitor.assessment import judge_files, write_judged
     from rn_policy_cubes.monitor.layers import MonitorLayers
     from rn_policy_cubes.monitor.statistics import threshold
     from rn_policy_cubes.monitor.weights import MonitorWeights as Weights
 
-    judged = judge_files(recorded(out, "calibration", share, say), weights)
+    judged = judge_files(recorded(out, "calibration", share), weights)
     write_judged(out / "calibration.jsonl", judged)
     good = [each for each in judged if each.is_success]
     bad = [each for each in judged if not each.is_success]
@@ -162,7 +157,7 @@ def _calibrated(weights: MonitorWeights, out: Path, share: float, say: Say) -> M
     return Weights(card, MonitorLayers(weights.layers.tensors))
 
 
-def _evaluate(arguments: Namespace, say: Say) -> int:
+def _evaluate(arguments: Namespace) -> int:
     from rn_policy_cubes.monitor.assessment import judge_files, summary, table, write_judged
     from rn_policy_cubes.monitor.roc_plot import roc_svg
     from rn_policy_cubes.monitor.weights import MonitorWeights, shipped_monitor
@@ -170,7 +165,7 @@ def _evaluate(arguments: Namespace, say: Say) -> int:
     out, path = arguments.out, arguments.weights
     if path is None:
         path = out / _PACKED if (out / _PACKED).exists() else shipped_monitor()
-    paths = recorded(out, "test", arguments.share, say)
+    paths = recorded(out, "test", arguments.share)
     judged = judge_files(paths, MonitorWeights.read(path))
     write_judged(out / "test.jsonl", judged)
     figures = summary(judged)
