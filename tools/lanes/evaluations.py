@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import sys
 
 import nox
 
@@ -113,7 +114,9 @@ def improve_cubes(session: nox.Session) -> None:
     """
     words: list[str] = []
     if wanted := os.environ.get("CORRECTIONS", ""):
-        python(session, "benchmarks/record_corrections.py", "--episodes", wanted)
+        # ARGS are for the training: the recorder would refuse them
+        record = "benchmarks/record_corrections.py"
+        session.run(sys.executable, record, "--episodes", wanted)
         words += ["--corrections", "out/corrections/data-set"]
         words += ["--suite-option", "displaced_m=[0.06,-0.03,0]"]
     roboneuron(session, "cubes-policy", "improve", *words, *session.posargs)
