@@ -52,6 +52,8 @@ def test_only_a_stepped_cell_waits_for_commands(tmp_path: Path):
     for section in ("robot", "control"):  # a busy machine freezes servers for seconds
         assert "server_timeout_s" not in real[section]
         assert stepped[section]["server_timeout_s"] == 30.0
+    assert "start_timeout_s" not in real["supervisor"]
+    assert stepped["supervisor"]["start_timeout_s"] == 200.0  # seen: 60 s at a load of 70
     parse_config(configuration_of(scene, tmp_path, "stepped"), registry=discover())
 
 

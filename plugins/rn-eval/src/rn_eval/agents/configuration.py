@@ -66,7 +66,7 @@ def configuration_of(scene: AgentScene, state: Path, time: TimeMode = "real") ->
     parts = [
         _SHARED.format(
             state=state,
-            start_timeout=_START_TIMEOUT if scene.companions else "",
+            start_timeout=_START_TIMEOUT if scene.companions or time == "stepped" else "",
             lease_s=_OTHERS_LEASE_S if scene.other_client else '"auto"',
             token=TOKEN,
         )
