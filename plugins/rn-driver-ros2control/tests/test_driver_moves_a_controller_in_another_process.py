@@ -73,7 +73,7 @@ class Bench:
             "controller": ARM,
             "connect_timeout_s": 60.0,
             "goal_timeout_s": 10.0,
-            "state_timeout_s": 3.0,
+            "state_timeout_s": 10.0,
         }
         driver = Ros2ControlDriver(
             Ros2ControlOptions.model_validate({**chosen, **options}), profile(), MemoryTopics()
