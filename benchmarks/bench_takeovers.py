@@ -249,6 +249,7 @@ def lose(
         "way": way,
         "lost_ns": lost_ns,
         "rest_s": rest_s,
+        "late_motion": cell.seen.late_motion(lost_ns, end_ns),
         "commanded_s": cell.commanded_s(lost_ns, end_ns),
         "held_up_s": cell.seen.held_up_s(lost_ns, lost_ns + round(2.0 * REST_S * 1e9)),
         "needs_start": told,

@@ -127,6 +127,28 @@ class Onlooker:
         ]
         return (moving[-1] - since_ns) / 1e9 if moving else 0.0
 
+    def late_motion(self, since_ns: int, until_ns: int) -> dict[str, Any]:
+        """What moved later than the arm should be at rest: the fastest joint (from 0), its speed
+        [rad/s], its way [rad], and the times of the first and the last such sample [s]; empty if
+        nothing did.
+        """
+        rows = [row for row in self.joints[self._first(since_ns) :] if row[0] <= until_ns]
+        late = [row for row in rows if row[0] > since_ns + round(REST_S * 1e9)]
+        moving = [row for row in late if float(np.abs(row[2]).max()) > STILL_RAD_S]
+        if not moving:
+            return {}
+        fastest = max(moving, key=lambda row: float(np.abs(row[2]).max()))
+        joint = int(np.abs(fastest[2]).argmax())
+        places = [float(row[1][joint]) for row in late]
+        return {
+            "joint": joint,
+            "speed_rad_s": float(np.abs(fastest[2]).max()),
+            "way_rad": max(places) - min(places),
+            "from_s": (moving[0][0] - since_ns) / 1e9,
+            "to_s": (moving[-1][0] - since_ns) / 1e9,
+            "samples": len(moving),
+        }
+
     def who(self, begin_ns: int, end_ns: int) -> set[str]:
         """Who acted within a span."""
         return {row.who for at, row in list(self.acting) if begin_ns <= at <= end_ns}
