@@ -240,7 +240,7 @@ def test_an_image_topic_of_another_type_is_refused(
         [sys.executable, "-c", script], env=environment, stdout=subprocess.PIPE, text=True
     ) as stranger:
         try:
-            wait_for_line(stranger.stdout, "up")
+            wait_for_line(stranger.stdout, "up\n")
             run_agent(serve_command(), server_environment, scenario)
         finally:
             stranger.kill()
