@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections import deque
 from contextlib import ExitStack
 from dataclasses import dataclass
 from itertools import pairwise
@@ -14,7 +15,10 @@ from typing import Any
 import numpy as np
 from command_judge import SentCommand
 from numpy.typing import NDArray
+from touched_things import touched
 
+from rn_robot_fr3.cell import FR3
+from rn_simulation.scene_state import TOPIC, SceneState, from_message
 from rn_standard.teleoperation.rows import Acting
 from roboneuron import JointLimits
 
@@ -34,6 +38,8 @@ JOINTS_S = 0.02
 HELD_UP_S = 0.03
 """A delay of the machine above this falsifies the trial: such trials are counted separately [s]."""
 REST_S = 0.2
+_SCENES = 600
+"""Of the newest scenes, at 60 in a second: longer than a page is watched."""
 WAYS = ("closed", "silent", "killed", "released")
 """How the page is lost."""
 ROUNDING = 1.02
@@ -75,6 +81,7 @@ class Onlooker:
         self.actions: list[int] = []
         self.commands: list[SentCommand] = []
         self.late: list[tuple[int, float]] = []
+        self.scenes: deque[SceneState] = deque(maxlen=_SCENES)
         self._watch(robot, stack)
         ended = threading.Event()
         stack.callback(ended.set)
@@ -129,8 +136,8 @@ class Onlooker:
 
     def late_motion(self, since_ns: int, until_ns: int) -> dict[str, Any]:
         """What moved later than the arm should be at rest: the fastest joint (from 0), its speed
-        [rad/s], its way [rad], and the times of the first and the last such sample [s]; empty if
-        nothing did.
+        [rad/s], its way [rad], the times of the first and the last such sample [s], and what the
+        arm touched then, by the simulator's truth. Empty if nothing moved.
         """
         rows = [row for row in self.joints[self._first(since_ns) :] if row[0] <= until_ns]
         late = [row for row in rows if row[0] > since_ns + round(REST_S * 1e9)]
@@ -140,12 +147,15 @@ class Onlooker:
         fastest = max(moving, key=lambda row: float(np.abs(row[2]).max()))
         joint = int(np.abs(fastest[2]).argmax())
         places = [float(row[1][joint]) for row in late]
+        first_ns, last_ns = moving[0][0], moving[-1][0]
+        scenes = [one for one in list(self.scenes) if first_ns <= one.stamp_ns <= last_ns]
         return {
+            "touched": sorted(touched(scenes)),
             "joint": joint,
             "speed_rad_s": float(np.abs(fastest[2]).max()),
             "way_rad": max(places) - min(places),
-            "from_s": (moving[0][0] - since_ns) / 1e9,
-            "to_s": (moving[-1][0] - since_ns) / 1e9,
+            "from_s": (first_ns - since_ns) / 1e9,
+            "to_s": (last_ns - since_ns) / 1e9,
             "samples": len(moving),
         }
 
@@ -218,6 +228,9 @@ class Onlooker:
         def action(_: Float64MultiArray, info: dict[str, Any]) -> None:
             self.actions.append(int(info["source_timestamp"]))
 
+        def scene(message: Float64MultiArray) -> None:
+            self.scenes.append(from_message(message, {robot: len(FR3.joints)}))
+
         def command(message: JointTrajectory, info: dict[str, Any]) -> None:
             for point in message.points[:1]:
                 after = point.time_from_start
@@ -232,6 +245,7 @@ class Onlooker:
             (JointState, "joint_states", joints),
             (Float64MultiArray, "acting", acting),
             (Float64MultiArray, "action", action),
+            (Float64MultiArray, TOPIC, scene),
         ):
             node.create_subscription(kind, f"/{robot}/{topic}", take, qos_profile_sensor_data)
         node.create_subscription(JointTrajectory, f"/{robot}/joint_trajectory", command, 100)
@@ -256,8 +270,8 @@ def faults_of(row: dict[str, Any]) -> list[str]:
         found.append(f"velocity {whole['velocity']:.2f} of the limit")
     found += faults_of_commands(row["sent"]["all"], row["unknown"])
     if row["part"] == "lost":
-        if is_timed and row["rest_s"] > REST_S:
-            # without a command the arm of the simulation may still move where it touches something
+        # fingers that press a cube or the table slip after the last command
+        if is_timed and row["rest_s"] > REST_S and not touched_by(row):
             ended = f"commands ended after {row['commanded_s']:.3f} s"
             found.append(f"at rest after {row['rest_s']:.3f} s, {ended}")
         if row["way"] == "released" and not row["goes_on"]:
@@ -276,6 +290,11 @@ def faults_of(row: dict[str, Any]) -> list[str]:
     elif is_timed and row["went_on"][1] > BORDER_S:
         found.append(f"went on {row['went_on'][1] * 1e3:.0f} ms after its action was sent")
     return found
+
+
+def touched_by(row: dict[str, Any]) -> list[str]:
+    """What the arm touched while it moved late, in one trial."""
+    return list(row.get("late_motion", {}).get("touched", ()))
 
 
 def faults_of_commands(sent: dict[str, Any] | None, unknown: int) -> list[str]:
@@ -317,6 +336,14 @@ def report(rows: list[dict[str, Any]]) -> bool:
             print(f"  {seed}: {'; '.join(faults)}")
         if part == "takeovers" and judged:
             tell_motions([row for row in judged if row["all"]])
+        for row in judged if part == "lost" else ():
+            if row["rest_s"] > REST_S and (things := touched_by(row)):
+                late = row["late_motion"]
+                print(
+                    f"  {row['seed']}: touches {', '.join(things)}: at rest after "
+                    f"{row['rest_s']:.3f} s, {late['speed_rad_s']:.3f} rad/s, "
+                    f"{late['way_rad']:.4f} rad"
+                )
         for way in WAYS if part == "lost" else ():
             for what, found in (("all", judged), ("timed", timed)):
                 rests = [row["rest_s"] for row in found if row["way"] == way]

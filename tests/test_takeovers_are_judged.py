@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections import deque
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +12,12 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 from takeover_judge import Onlooker, faults_of
+from touched_things import touched
 
 sys.path.pop(0)
 
+from rn_robot_fr3.simulation import ArmSimulation
+from rn_simulation.scene_state import SceneState
 from rn_standard.teleoperation.rows import Acting
 from roboneuron import JointLimits
 
@@ -34,7 +38,7 @@ class Seen(Onlooker):
             (number * PERIOD_NS, np.array([position]), np.array([velocity]))
             for number, (position, velocity) in enumerate(zip(positions, velocities, strict=True))
         ]
-        self.acting, self.actions = [], []
+        self.acting, self.actions, self.scenes = [], [], deque()
 
     def tell(self, who: str, *periods: int) -> None:
         acted = Acting(who=who, session="", number=0, share=1.0, limits="", note="")
@@ -63,6 +67,39 @@ def test_rest_is_after_the_last_motion() -> None:
     seen = Seen([FAST] * 30 + [STILL] * 100)
     assert seen.rest_s(20 * PERIOD_NS, 100 * PERIOD_NS) == pytest.approx(0.09)
     assert seen.rest_s(40 * PERIOD_NS, 100 * PERIOD_NS) == 0.0
+
+
+def test_late_motion_is_told_with_its_joint_and_way() -> None:
+    seen = Seen([FAST] * 30 + [STILL] * 30 + [FAST / 10] * 5 + [STILL] * 30)
+    found = seen.late_motion(29 * PERIOD_NS, 90 * PERIOD_NS)
+    assert (found["joint"], found["samples"], found["touched"]) == (0, 5, [])
+    assert found["speed_rad_s"] == pytest.approx(FAST / 10)
+    assert found["way_rad"] == pytest.approx(5 * FAST / 10 * PERIOD_NS / 1e9)
+    assert (found["from_s"], found["to_s"]) == pytest.approx((0.31, 0.35))
+    assert seen.late_motion(66 * PERIOD_NS, 90 * PERIOD_NS) == {}
+
+
+def test_a_cube_between_the_fingers_is_touched_and_the_base_on_its_table_is_not() -> None:
+    with ArmSimulation(seed=1, colours=("red", "green"), engine="pybullet") as cell:
+        poses = np.array([[*at, *turn] for at, turn in cell.world.cube_poses().values()])
+        at_tcp = poses.copy()
+        at_tcp[0, :3] = cell.world.T_base_tcp()[:3, 3]
+        joints = cell.joint_positions()
+        joints[7:] = 0.5 * cell.scene[0].edge_m
+
+        def scene(cubes: Any) -> SceneState:
+            return SceneState(
+                robot="fr3",
+                engine="pybullet",
+                seed=1,
+                cubes=tuple((cube.name, cube.edge_m) for cube in cell.scene),
+                joints=joints,
+                cube_poses=cubes,
+                stamp_ns=0,
+            )
+
+        assert touched([scene(poses)]) == set()
+        assert touched([scene(poses), scene(at_tcp)]) == {"red"}
 
 
 def test_the_policy_goes_on_by_an_action_from_after_the_release() -> None:
@@ -104,7 +141,15 @@ LOST = {
 }
 
 
-@pytest.mark.parametrize("row", [TAKEN, LOST, {**LOST, "way": "released", "goes_on": True}])
+@pytest.mark.parametrize(
+    "row",
+    [
+        TAKEN,
+        LOST,
+        {**LOST, "way": "released", "goes_on": True},
+        {**LOST, "rest_s": 0.5, "late_motion": {"touched": ["red"]}},
+    ],
+)
 def test_what_is_right_has_no_fault(row: dict[str, Any]) -> None:
     assert faults_of(row) == []
 
@@ -124,6 +169,7 @@ def test_what_is_right_has_no_fault(row: dict[str, Any]) -> None:
         {**TAKEN, "all": {**TAKEN["all"], "outside_rad": 0.01}},
         {**TAKEN, "all": None},
         {**LOST, "rest_s": 0.21},
+        {**LOST, "rest_s": 0.5, "late_motion": {"touched": []}},
         {**LOST, "needs_start": ""},
         {**LOST, "needs_start": "", "rest_s": 0.3, "held_up_s": 0.5},
         {**TAKEN, "who": ["person", "policy"], "held_up_s": 0.5},

@@ -64,7 +64,7 @@ class Supervisor(Modules):
 
     Attributes:
         log_directory: `<state>/log/<time>-<pid>`.
-        on_join: functions of features, called in modules with their node,, as "module:attribute";
+        on_join: functions of features, called in modules with their node, as "module:attribute";
             see `ModuleHost`.
         needs_start: the stop after which newly started robot and control modules refuse motion
             until it is requested; empty for none.
