@@ -12,6 +12,7 @@ from rn_standard.selection.named import with_model
 from rn_standard.selection.options import selection_options
 from rn_standard.selection.permission import check_addresses, check_may_load, check_may_set
 from rn_standard.selection.requests import REQUESTS, StartChosenInference
+from rn_standard.selection.sections import section_for
 from roboneuron import Arguments, DriverSpec, RuntimeSpec, Section, Spec
 from roboneuron.feature import (
     KIND_ENTRIES,
@@ -82,8 +83,8 @@ def _configured_names(kind: ModuleKind, config: Config) -> set[str]:
 
 
 def _section(kind: ModuleKind, config: Config, registry: Registry, request: Arguments) -> Section:
-    """The configured section updated with the request; a new section for another plugin than the
-    configured one.
+    """The configured section updated with the request, see `section_for` for another plugin than
+    the configured one.
     """
     entry = KIND_ENTRIES[kind]
     field = "name" if kind == "robot" else entry.noun
@@ -97,7 +98,7 @@ def _section(kind: ModuleKind, config: Config, registry: Registry, request: Argu
     if wanted is None:
         section = entry.configured(config, registry)
     if section is None or wanted not in (None, getattr(section, field)):
-        section = entry.section.model_validate({field: wanted})
+        section = section_for(entry.section, section, field, wanted)
     if kind == "perception":
         named["cameras"] = tuple(named["cameras"]) or None
     return section.model_copy(

@@ -12,6 +12,7 @@ from rn_standard.selection.options import (
     named_models,
 )
 from rn_standard.selection.requests import StartChosenInference
+from rn_standard.selection.sections import section_for
 from roboneuron import BackendSpec, InvalidInputError, RoboNeuronError, Section
 from roboneuron.feature import KIND_ENTRIES, Config, Registry
 
@@ -73,7 +74,7 @@ def with_model(
         parts["fallback"] = model.fallback
     section: Section | None = config.inference
     if config.inference is None or config.inference.backend != backend:
-        section = KIND_ENTRIES["inference"].section.model_validate({"backend": backend})
+        section = section_for(KIND_ENTRIES["inference"].section, section, "backend", backend)
     assert section is not None
     plugins = {**config.plugins, backend: {**config.options(backend), **options}}
     update = {"inference": section.model_copy(update=parts), "plugins": plugins}
