@@ -69,8 +69,9 @@ def _lock(descriptor: int, deadline_s: float) -> None:
             return
         except BlockingIOError:
             if time.monotonic() > deadline_s:
-                text = f"another process has kept its lock for {LOCK_S:g} s"
-                raise TimeoutError(errno.ETIMEDOUT, text) from None
+                raise TimeoutError(
+                    errno.ETIMEDOUT, f"another process has kept its lock for {LOCK_S:g} s"
+                ) from None
         time.sleep(_RETRY_S)
 
 

@@ -135,9 +135,13 @@ class KindEntry:
             robot, driver = find_robot(
                 registry, section.name, section.driver, is_elsewhere=is_elsewhere
             )
-            names = {"robot": robot.name, "driver": driver.name}
             return Plan(
-                kind=self.kind, config=config, robot=robot, driver=driver, spec=driver, names=names
+                kind=self.kind,
+                config=config,
+                robot=robot,
+                driver=driver,
+                spec=driver,
+                names={"robot": robot.name, "driver": driver.name},
             )
         spec = registry.get(FeatureSpec, self.kind)  # it has the name of the kind
         named = load_attribute(spec.module_plan or "", f"`module_plan` of {spec.name!r}")
@@ -210,8 +214,10 @@ def find_robot(
     robot = registry.get(RobotSpec, name)
     found = robot.driver(driver)
     if found is None:
-        names = ", ".join(d.name for d in robot.drivers) or "none"
-        raise PlanningError(f"Robot {name!r} has no driver {driver!r}; choose one of: {names}.")
+        raise PlanningError(
+            f"Robot {name!r} has no driver {driver!r}; choose one of: "
+            f"{', '.join(known.name for known in robot.drivers) or 'none'}."
+        )
     absent = missing(found.requires)
     if absent and not is_elsewhere:
         raise PlanningError(

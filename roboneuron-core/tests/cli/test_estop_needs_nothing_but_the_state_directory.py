@@ -4,8 +4,12 @@ the robot.
 
 from __future__ import annotations
 
+import getpass
+import os
+import sys
 import time
 from pathlib import Path
+from typing import NoReturn
 
 import pytest
 
@@ -67,3 +71,37 @@ def test_a_stop_without_a_reason_leaves_no_empty_place_for_it(
     assert "at the command line (" in capsys.readouterr().out
     state = EmergencyStopLatch(tmp_path / ESTOP_FILE, time.time_ns).read_state()
     assert state.cause.endswith(" at the command line")
+
+
+@pytest.mark.parametrize("error", [KeyError, OSError])
+def test_a_user_without_a_name_stops_the_robot(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: type[Exception]
+) -> None:
+    """A container may run as any number, without an entry in passwd."""
+
+    def nameless() -> NoReturn:
+        raise error("getpwuid(): uid not found")
+
+    monkeypatch.setattr(getpass, "getuser", nameless)
+    assert main(["estop", "--state", str(tmp_path)]) == 0
+    state = EmergencyStopLatch(tmp_path / ESTOP_FILE, time.time_ns).read_state()
+    assert state.who == f"user {os.getuid()} at the command line"
+
+
+def test_a_stop_that_is_pressed_while_the_terminal_asks_is_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    latch = EmergencyStopLatch(tmp_path / ESTOP_FILE, time.time_ns)
+    latch.press(who="ann", reason="smoke")
+
+    def agree(_: str) -> str:
+        assert main(["estop", "--state", str(tmp_path), "--reason", "fire"]) == 0
+        (tmp_path / ESTOP_FILE).rename(tmp_path / f"{ESTOP_FILE}.reset")
+        EmergencyStopLatch(tmp_path / ESTOP_FILE, time.time_ns).press(who="bob", reason="a hand")
+        return "y"
+
+    monkeypatch.setattr("builtins.input", agree)
+    monkeypatch.setattr(sys.stdin, "isatty", lambda: True)
+    assert main(["estop", "--state", str(tmp_path), "--reset"]) != 0
+    assert "pressed again" in capsys.readouterr().err
+    assert latch.read_state().cause == "bob: a hand"

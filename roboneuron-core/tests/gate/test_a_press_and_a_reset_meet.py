@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import itertools
 import json
 import os
 from pathlib import Path
@@ -36,6 +37,27 @@ def test_a_press_right_after_a_reset_by_another_process_stops_again(latch, audit
         EmergencyStopLatch.press_together([latch], who="ann", reason="fire") == []
     )  # it has not checked the file since
     assert a_latch(latch.path).read_state().cause == "ann: fire"
+
+
+def test_only_the_stop_that_was_seen_is_released(latch, audit) -> None:
+    ticking = itertools.count(TIME_NS)
+    guard = EmergencyStopLatch(latch.path, lambda: next(ticking))
+    none_ns = latch.read_state().time_ns
+    first_ns = guard.press(who="ann", reason="smoke").time_ns
+    with pytest.raises(RefusedError, match="pressed again"):
+        latch.reset(who="bea", role="admin", audit=audit, agreed_ns=none_ns)
+    assert guard.is_latched()
+    latch.reset(who="bea", role="admin", audit=audit, agreed_ns=first_ns)
+    assert not guard.is_latched()
+    guard.press(who="ann", reason="fire")
+    with pytest.raises(RefusedError, match="pressed again"):
+        latch.reset(who="bea", role="admin", audit=audit, agreed_ns=first_ns)
+    assert guard.read_state().cause == "ann: fire"
+    told = [json.loads(line) for line in audit.path.read_text().splitlines()]
+    assert [(one["verdict"], one.get("rule", "")) for one in told[-2:]] == [
+        ("allowed", ""),
+        ("refused", "person"),
+    ]
 
 
 def test_a_press_that_could_not_be_written_is_written_by_the_next(tmp_path: Path) -> None:

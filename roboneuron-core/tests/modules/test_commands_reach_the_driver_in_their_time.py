@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Sequence
+from typing import cast
 
 import numpy as np
 import pytest
@@ -217,6 +218,30 @@ def test_a_command_that_the_driver_refuses_is_counted_and_told(cell: Cell) -> No
     assert "beyond the joint's travel" in cell.host.values()["error"]
     assert not cell.robot._moving
     assert cell.host.values().get("note", "") == ""
+
+
+@pytest.mark.parametrize("error", [UnsafeError, RuntimeError])
+def test_after_a_refused_point_the_arm_holds_and_the_others_are_not_sent(
+    cell: Cell, error: type[Exception]
+) -> None:
+    send = cell.driver.send
+
+    def refuse_the_second(command: JointCommand) -> JointCommand:
+        if command.position[0] == 0.2:
+            raise error("too late")
+        return cast(JointCommand, send(command))
+
+    cell.driver.send = refuse_the_second
+    cell.command(0.1, 0.2, 0.3, step_s=0.01)
+    for _ in range(3):
+        cell.play()
+        cell.clock.go(0.01)
+    assert cell.sent == [(0.1, 0.01)]
+    assert cell.holds == 1
+    assert cell.host.drops() == {"refused_command": 1}
+    cell.command(0.4)
+    cell.play()
+    assert cell.sent[1:] == [(0.4, 0.1)]
 
 
 class Ahead:

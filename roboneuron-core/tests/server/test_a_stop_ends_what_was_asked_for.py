@@ -171,6 +171,21 @@ def test_robot_and_control_that_come_back_keep_still(
     assert (machine["control"].needs_start, machine.needs_start) == ("", "")
 
 
+def test_a_stop_while_motion_is_permitted_is_kept(machine: Machine, starts: MotionStarts) -> None:
+    machine["control"].stop("a fault")
+    set_ = machine["control"].set
+
+    def set_then_stop(values: dict[str, Any], timeout_s: float, check: object = None) -> str:
+        answer = set_(values, timeout_s, check)
+        starts.note_stop("robot has ended by itself")  # as the watching thread does
+        return answer
+
+    machine["control"].set = set_then_stop  # type: ignore[method-assign]
+    with pytest.raises(StateError, match="robot has ended by itself"):
+        starts.permit()
+    assert machine.needs_start == "robot has ended by itself"
+
+
 def test_the_loss_of_a_camera_ends_no_motion_of_agents(
     machine: Machine, starts: MotionStarts
 ) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from roboneuron.contract import Endpoint, JointSample
-from roboneuron.errors import NotReadyError, RefusedError
+from roboneuron.errors import NotReadyError, RefusedError, StateError
 from roboneuron.feature import ExposedEndpoint, GateRequest
 
 Ask = Callable[..., GateRequest]
@@ -73,6 +73,30 @@ def test_a_stop_while_it_waits_for_a_subscriber_keeps_a_message_from_being_sent(
     bench.writer.takes_s = 0.3
     bench.writer.on_connect = lambda: bench.gate.latch.press(who="a person", reason="a test")
     with pytest.raises(RefusedError):
+        bench.send_one(drive, ask(drive.endpoint, FORWARD), how)
+    assert (bench.sent, bench.permitted) == ([], [])
+
+
+@pytest.mark.parametrize("how", ["later", "motion"])
+def test_a_stop_during_a_short_wait_keeps_a_message_from_being_sent(
+    bench: Any, drive: ExposedEndpoint, ask: Ask, how: str
+) -> None:
+    bench.writer.takes_s = 0.1  # the gate is not asked again
+    bench.writer.on_connect = lambda: bench.gate.latch.press(who="a person", reason="a test")
+    with pytest.raises(RefusedError):
+        bench.send_one(drive, ask(drive.endpoint, FORWARD), how)
+    assert bench.sent == []
+
+
+@pytest.mark.parametrize("how", ["later", "motion"])
+def test_a_stop_of_the_robot_during_a_wait_is_not_ended_by_the_request_from_before(
+    bench: Any, drive: ExposedEndpoint, ask: Ask, how: str
+) -> None:
+    def fail() -> None:
+        bench.starts.arm_stops, bench.starts.reason = 1, "a fault of the robot"
+
+    bench.writer.on_connect = fail
+    with pytest.raises(StateError, match="a fault of the robot"):
         bench.send_one(drive, ask(drive.endpoint, FORWARD), how)
     assert (bench.sent, bench.permitted) == ([], [])
 

@@ -123,6 +123,16 @@ def test_a_request_is_not_sent_while_somebody_else_moves_the_robot(
     assert (bench.traffic.calls, bench.checked) == ([], [])
 
 
+def test_a_stop_while_a_request_waits_to_be_sent_keeps_it_from_its_service(
+    bench: Any, endpoints: dict[str, Endpoint], ask: Ask, expose: Callable[..., ExposedEndpoint]
+) -> None:
+    enable = expose(endpoints["enable"])
+    bench.on_permit = lambda: bench.gate.latch.press(who="a person", reason="a test")
+    with pytest.raises(RefusedError, match="Nothing was sent"):
+        bench.motion_gate.send_request(enable, ask(enable.endpoint, {"data": True}), print)
+    assert bench.traffic.calls == []
+
+
 def test_a_dry_run_of_a_request_calls_nobody(
     bench: Any, endpoints: dict[str, Endpoint], ask: Ask, expose: Callable[..., ExposedEndpoint]
 ) -> None:

@@ -183,6 +183,28 @@ def test_an_answer_to_a_question_that_was_not_asked_counts_for_nothing(
 
 
 @pytest.mark.parametrize("mode", MODES)
+def test_a_stop_that_is_pressed_during_a_release_of_none_is_kept(
+    serve: Callable[..., Application], monkeypatch: pytest.MonkeyPatch, mode: str
+) -> None:
+    """Nobody was asked about it: nothing was latched when the call looked."""
+    application, person = serve(), Person("accept", {"confirmed": True})
+    stop = application.loop.emergency_stop
+    stop.file.reset(who="somebody", role="admin", audit=stop.audit)
+    is_latched = stop.is_latched
+
+    def look_then_press() -> bool:
+        found = is_latched()
+        stop.file.press(who="another guard", reason="another hand")
+        return found
+
+    monkeypatch.setattr(stop, "is_latched", look_then_press)
+    answer = call(application, mode, person)
+    assert (person.asked, answer.is_error) == ([], False)
+    assert "not latched" in str(answer.structured_content)
+    assert stop.file.read_state().who == "another guard"
+
+
+@pytest.mark.parametrize("mode", MODES)
 def test_the_configuration_may_leave_it_to_clients(
     serve: Callable[..., Application], mode: str
 ) -> None:

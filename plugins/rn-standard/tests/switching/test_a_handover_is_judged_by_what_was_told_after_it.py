@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import threading
 import time
+from contextlib import nullcontext
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -14,7 +15,7 @@ import pytest
 from rn_standard.switching import warm_switch
 from rn_standard.switching.standby import ACT_FROM, PLAY_FROM
 from rn_standard.switching.warm_switch import WarmSwitch
-from roboneuron.errors import NotReadyError, RefusedError
+from roboneuron.errors import NotReadyError, RefusedError, StateError
 from roboneuron.modules.report import Report
 from roboneuron.supervisor.changes import Changes
 
@@ -79,6 +80,23 @@ def test_one_that_has_fallen_silent_is_undone_in_the_end(monkeypatch: pytest.Mon
     monkeypatch.setattr(warm_switch, "_TOLD_S", FIRST_S)
     with pytest.raises(NotReadyError, match="did not act"):
         first_output(Machine())
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "is_refused"),
+    [("", "", False), ("a lead", "", True), ("a lead", "a lead", False), ("", "a lead", False)],
+)
+def test_a_stop_that_only_the_old_one_knows_is_not_lost(
+    old: str, new: str, is_refused: bool
+) -> None:
+    machine = Machine()
+    check = SimpleNamespace(kind="control", noun="controller")
+    switch = switch_of(machine, check)
+    machine.slot.report = Report(received_s=1.0, needs_start=old)
+    standby: Any = SimpleNamespace(report=Report(received_s=1.0, needs_start=new))
+    refused = pytest.raises(StateError, match="a lead; nothing was replaced")
+    with refused if is_refused else nullcontext():
+        switch._check_stops(standby)
 
 
 class Client:

@@ -95,8 +95,10 @@ def installed_commands(registry: Registry) -> dict[str, str]:
 
 def all_commands(registry: Registry) -> dict[str, str]:
     """Summary by name of the core's commands and of `installed_commands`."""
-    own = {name: command.summary for name, command in COMMANDS.items()}
-    return own | installed_commands(registry)
+    return {
+        **{name: command.summary for name, command in COMMANDS.items()},
+        **installed_commands(registry),
+    }
 
 
 def load_command(name: str, registry: Registry | None = None) -> CommandModule:

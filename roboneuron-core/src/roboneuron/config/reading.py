@@ -171,8 +171,10 @@ def _read_text(path: Path) -> str:
     try:
         return path.read_text(encoding="utf-8")
     except FileNotFoundError as error:
-        hint = f"Make one to edit: roboneuron config show > {path}. Or leave --config out."
-        raise ConfigurationError(f"There is no file {path.absolute()}.", hint=hint) from error
+        raise ConfigurationError(
+            f"There is no file {path.absolute()}.",
+            hint=f"Make one to edit: roboneuron config show > {path}. Or leave --config out.",
+        ) from error
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigurationError(f"{path} cannot be read: {error}.") from error
 
@@ -243,8 +245,9 @@ def feature_options(
     if not spec.sections:
         key = spec.keys[0]
         return _checked(model, config.sections.get(key, {}), source, key)
-    tables = {key: config.sections[key] for key in spec.keys if key in config.sections}
-    return _checked(model, tables, source)
+    return _checked(
+        model, {key: config.sections[key] for key in spec.keys if key in config.sections}, source
+    )
 
 
 def _checked(model: type[M], values: object, source: str, place: str = "") -> M:
@@ -271,9 +274,9 @@ def transport_feature(transport: str, registry: Registry) -> FeatureSpec:
         return served[transport]
     # by convention it has the transport's name: the error explains its absence
     _named_feature(f"transport = {transport!r}", transport, registry)
-    choices = ", ".join(served) or "none"
     raise ConfigurationError(
-        f"transport = {transport!r}: nothing serves it; choose one of: {choices}."
+        f"transport = {transport!r}: nothing serves it; choose one of: "
+        f"{', '.join(served) or 'none'}."
     )
 
 

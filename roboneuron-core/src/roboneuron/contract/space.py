@@ -160,8 +160,10 @@ class ControlSpace:
         for part in self.quaternions:
             norm = math.hypot(*row[part].tolist())
             if not _LEAST_NORM <= norm <= _GREATEST_NORM:
-                names = ", ".join(self.keys[i] for i in part)
-                raise InvalidInputError(f"{names} have the length {norm:.4g}, expected 1.")
+                raise InvalidInputError(
+                    f"{', '.join(self.keys[i] for i in part)} have the length {norm:.4g}, expected "
+                    "1."
+                )
         return row
 
 

@@ -17,7 +17,7 @@ from roboneuron.config import read_state_directory, robot_folder
 from roboneuron.errors import ConfigurationError, RefusedError, RoboNeuronError
 from roboneuron.estop.latch import EmergencyStopLatch
 from roboneuron.estop.pin import ReleasePin
-from roboneuron.gate import AuditLog, AuditRecord, Role
+from roboneuron.gate import AuditLog, AuditRecord, Role, user_at_terminal
 from roboneuron.ros.environment import state_directory
 
 _AGAIN_S = 0.1
@@ -63,7 +63,7 @@ def run(arguments: Namespace) -> int:
     configured = read_state_directory(arguments.config) if arguments.config else None
     directory = state_directory(str(arguments.state) if arguments.state else configured)
     _folders(directory, arguments.robot)  # raises for an unknown robot
-    who = f"{getpass.getuser()} at the command line"
+    who = user_at_terminal()
     if arguments.set_pin:
         return _set_pin(ReleasePin(directory), AuditLog.in_directory(directory), who)
     done: set[Path] = set()
@@ -149,7 +149,7 @@ def _reset(latch: EmergencyStopLatch, audit: AuditLog, who: str) -> int:
         print("It stays latched.")
         return 1
     pin = getpass.getpass("PIN: ") if ReleasePin(latch.path.parent).is_set else ""
-    latch.reset(who=who, role=Role.ADMIN, audit=audit, pin=pin)
+    latch.reset(who=who, role=Role.ADMIN, audit=audit, pin=pin, agreed_ns=state.time_ns)
     time.sleep(_AGAIN_S)  # a process that latches it again does so within one check of the file
     if latch.is_latched():
         print(

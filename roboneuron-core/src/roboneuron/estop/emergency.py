@@ -202,7 +202,13 @@ class EmergencyStop:
         return confirmed, took_s
 
     def reset(
-        self, namespace: str, *, who: str, role: str, pin: str = ""
+        self,
+        namespace: str,
+        *,
+        who: str,
+        role: str,
+        pin: str = "",
+        agreed_ns: int | None = None,
     ) -> tuple[list[str], float]:
         """Release the latch. Returns as `latch`.
 
@@ -211,9 +217,10 @@ class EmergencyStop:
             who: the client.
             role: role of that client.
             pin: PIN typed by a person, if one is set.
+            agreed_ns: see `EmergencyStopLatch.reset`.
 
         Raises:
-            RefusedError: `role` may not release, the PIN is wrong, or the audit cannot be written.
+            RefusedError: as `EmergencyStopLatch.reset`.
             StateError: the latch file cannot be removed.
             NotReadyError: a running module did not confirm it in time.
         """
@@ -221,7 +228,7 @@ class EmergencyStop:
         if self._publishers:
             for _ in range(_ROUNDS):
                 self._supervisor.link.on_executor(lambda: None)
-        self.file.reset(who=who, role=role, audit=self.audit, pin=pin)
+        self.file.reset(who=who, role=role, audit=self.audit, pin=pin, agreed_ns=agreed_ns)
         confirmed, silent, took_s = self._tell(namespace, False)
         if silent:
             raise NotReadyError(

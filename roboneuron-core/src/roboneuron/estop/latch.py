@@ -300,7 +300,15 @@ class EmergencyStopLatch:
         finally:
             os.close(descriptor)
 
-    def reset(self, *, who: str, role: str, audit: AuditLog, pin: str = "") -> None:
+    def reset(
+        self,
+        *,
+        who: str,
+        role: str,
+        audit: AuditLog,
+        pin: str = "",
+        agreed_ns: int | None = None,
+    ) -> None:
         """Release the latch; nothing moves by itself.
 
         Args:
@@ -308,10 +316,11 @@ class EmergencyStopLatch:
             role: must be "admin".
             audit: gets the record first; without it there is no reset.
             pin: PIN typed by a person, if one is set.
+            agreed_ns: `time_ns` of the stop that the client saw; one pressed since is kept.
 
         Raises:
-            RefusedError: the role is insufficient, the PIN is wrong, or the audit cannot be
-                written.
+            RefusedError: the role is insufficient, the PIN is wrong, the audit cannot be
+                written, or another stop was pressed since.
             StateError: the latch cannot be removed; it stays latched.
         """
         is_allowed = Role.ADMIN.is_held_by(role)
@@ -333,8 +342,25 @@ class EmergencyStopLatch:
                 rule="role",
             )
         with self._lock:
+            newest = self.read_state()
+            is_other = agreed_ns is not None and newest.time_ns != agreed_ns
+            if newest.latched and is_other:
+                audit.write_if_possible(
+                    AuditRecord(
+                        who=who,
+                        role=role,
+                        tool="reset_emergency_stop",
+                        verdict="refused",
+                        rule="person",
+                    )
+                )
+                raise RefusedError(
+                    "The emergency stop was pressed again. It stays latched.",
+                    hint="Look at the robot, then ask again.",
+                    rule="person",
+                )
             try:
-                if self.is_latched() and self._seen is None:
+                if newest.latched and self._seen is None:
                     # others detect the reset by the file only
                     self._create(self._held or LatchState(latched=True))
                 with suppress(FileNotFoundError):
@@ -345,10 +371,9 @@ class EmergencyStopLatch:
                     os.replace(self.path, self._reset_path)
                     sync(self.path.parent)
             except OSError as error:
-                text = (
+                raise StateError(
                     f"The latch {self.path} cannot be removed: {error.strerror}; it stays latched."
-                )
-                raise StateError(text) from error
+                ) from error
             self._held = self._seen = None
 
 

@@ -132,7 +132,9 @@ class MotionStarts:
         self.settle()
         count = self.stops
         self._arm()
-        self._supervisor.needs_start = ""
+        with self._lock:
+            if self.stops == count:  # otherwise `check` raises, and the stop stays
+                self._supervisor.needs_start = ""
         self.check(count)
         return count
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import getpass
 import json
 import logging
 import os
@@ -54,6 +55,17 @@ class AuditRecord:
     reason: str = ""
     arguments: Mapping[str, Any] = field(default_factory=dict)
     clamped: tuple[str, ...] = ()
+
+
+def user_at_terminal() -> str:
+    """Name of this process's user for records, also of one without an entry in passwd (as in a
+    container).
+    """
+    try:
+        name = getpass.getuser()
+    except (KeyError, OSError):
+        name = f"user {os.getuid()}"
+    return f"{name} at the command line"
 
 
 _CUT = AuditRecord(

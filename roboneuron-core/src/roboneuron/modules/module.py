@@ -106,8 +106,10 @@ class ModuleNode(ModuleHost):
             stops: number of stops in the report that the server has seen. A lower count than the
                 present one is refused: the request was made without knowledge of a later stop.
         """
-        self.needs_start = ""
-        self.status.announce(needs_start="")
+        with self.stops_lock:
+            if stops == self.stops:
+                self.needs_start = ""
+                self.status.announce(needs_start="")
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Lifecycle callback."""
@@ -287,13 +289,15 @@ class ModuleNode(ModuleHost):
         """
         # The module first: the disk may be slow or full, and the robot must not wait for it.
         self._stop_requested = True
-        self._check_stop()
         try:
-            self._latch.press(who=who, reason=f"received by the module {self.settings.kind}")
-        except UnsafeError as error:
-            log.error("%s", error)
-        else:
-            self._stop_requested = False
+            self._check_stop()
+        finally:  # a robot may refuse to hold
+            try:
+                self._latch.press(who=who, reason=f"received by the module {self.settings.kind}")
+            except UnsafeError as error:
+                log.error("%s", error)
+            else:
+                self._stop_requested = False
 
     def _check_stop(self) -> None:
         """Apply a change of the emergency stop.
@@ -306,10 +310,12 @@ class ModuleNode(ModuleHost):
         if stopped == self.stopped:
             return
         self.stopped = stopped
-        if stopped:
-            self.require_start(EMERGENCY_STOP, "emergency_stop")
-        if self.module is not None:
-            self.module.emergency_stop(self.stopped)
+        try:
+            if stopped:
+                self.require_start(EMERGENCY_STOP, "emergency_stop")
+        finally:  # a robot may refuse to hold; then the stop is not confirmed
+            if self.module is not None:
+                self.module.emergency_stop(self.stopped)
         self.status.announce(emergency_stop=self.stopped)
 
 
@@ -357,9 +363,9 @@ def _spin(node: ModuleNode, signals: Signals) -> None:
     is_leaving = False
     while not is_leaving:  # wakes with every tick of the node's loop timer
         is_leaving = signals.is_leaving  # first: a stop before it counts
-        if signals.take_stop():
-            node.trigger_stop("the signal SIGUSR1")
         try:
+            if signals.take_stop():
+                node.trigger_stop("the signal SIGUSR1")
             executor.spin_once()
         except Exception as error:  # the module border: a plugin's callback may raise anything
             node.status.set_error(error)

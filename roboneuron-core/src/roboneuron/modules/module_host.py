@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -81,6 +82,7 @@ class ModuleHost(LifecycleNode):  # type: ignore[misc]
         stopped: the emergency stop is latched.
         stops: number of stops seen.
         needs_start: reason that forbids motion until it is requested anew; empty for none.
+        stops_lock: guards these two.
         handover: decides which inputs are this module's; a feature that replaces modules installs
             its own object.
         lent: objects that features provide to the module, under names that the module's package
@@ -101,6 +103,8 @@ class ModuleHost(LifecycleNode):  # type: ignore[misc]
         self.outputs: dict[str, Callable[[], int]] = {}
         self.stopped = False
         self.stops, self.needs_start = 0, ""
+        # a stop and a permission may come on two threads
+        self.stops_lock = threading.Lock()
         self.handover = Handover()
         self.lent: dict[str, object] = {}
         self.on_configured: list[Callable[[Module], None]] = []
@@ -190,9 +194,10 @@ class ModuleHost(LifecycleNode):  # type: ignore[misc]
         """
         if self.settings.kind == "perception":
             return
-        self.needs_start = reason
-        self.stops += 1
-        self.status.announce(needs_start=reason, stops=self.stops)
+        with self.stops_lock:
+            self.needs_start = reason
+            self.stops += 1
+            self.status.announce(needs_start=reason, stops=self.stops)
         if self.module is not None:
             self.module.stop(code)
 

@@ -132,8 +132,7 @@ class Report(ModuleFacts):
         try:
             return parse(value)
         except ValidationError:
-            field = cls.model_fields[info.field_name or ""]
-            return field.get_default(call_default_factory=True)
+            return cls.model_fields[info.field_name or ""].get_default(call_default_factory=True)
 
     @property
     def is_following(self) -> bool:

@@ -49,8 +49,11 @@ def digest_of(request: object) -> bytes:
     Args:
         request: request of a service.
     """
-    text = json.dumps(request, default=_contents, sort_keys=True).encode()
-    return hashlib.sha256(text).hexdigest().encode()
+    return (
+        hashlib.sha256(json.dumps(request, default=_contents, sort_keys=True).encode())
+        .hexdigest()
+        .encode()
+    )
 
 
 def _contents(value: Any) -> object:

@@ -14,7 +14,7 @@ from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
 from roboneuron.contract import JointCommand, LookaheadDriver, RobotDriver, RobotState
-from roboneuron.errors import InvalidInputError, NotReadyError, RoboNeuronError
+from roboneuron.errors import InvalidInputError, NotReadyError
 from roboneuron.modules.module_host import Module, ModuleHost
 from roboneuron.modules.plugin import build, load_profile
 from roboneuron.modules.settings import (
@@ -199,9 +199,13 @@ class RobotModule(Module):
         # from here on the command returned by the driver counts: it may have shortened it
         try:
             sent = self._send(command, planned)
-        except RoboNeuronError as error:
+        except Exception as error:  # a driver may raise anything
+            # without this point, the next ones would be sent too early, on a way nobody has checked
+            plan.clear()
             self.status.drop("refused_command")
             self.status.set_error(error)
+            if planned:
+                self.driver.hold()
             return
         if self.why_stopped():  # since it was taken: the hold of that stop came before the command
             self._drop_plan()

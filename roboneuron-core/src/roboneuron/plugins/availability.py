@@ -50,8 +50,10 @@ def explain(absent: Iterable[Requirement]) -> str:
     modules = ", ".join(
         " or ".join(f"'{name}'" for name in (r.module, *r.alternatives)) for r in parts
     )
-    commands = "; ".join(dict.fromkeys(r.install for r in parts))
-    return f"Needs {modules}, not installed; run: {commands}"
+    return (
+        f"Needs {modules}, not installed; run: "
+        f"{'; '.join(dict.fromkeys(part.install for part in parts))}"
+    )
 
 
 WHOLE = "roboneuron"

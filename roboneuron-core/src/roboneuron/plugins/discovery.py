@@ -148,8 +148,10 @@ def _check_disabled(disabled: Collection[str], installed: Collection[str]) -> se
     wanted = {_normalise(name): name for name in disabled}
     for normal, name in wanted.items():
         if normal not in known:
-            hint = nearest(normal, known, f"Installed: {', '.join(sorted(known)) or 'none'}.")
-            raise ConfigurationError(f"The disabled plugin {name!r} is not installed.", hint=hint)
+            raise ConfigurationError(
+                f"The disabled plugin {name!r} is not installed.",
+                hint=nearest(normal, known, f"Installed: {', '.join(sorted(known)) or 'none'}."),
+            )
     return set(wanted)
 
 
@@ -327,11 +329,12 @@ def _contest(offer: Offer, claims: Mapping[tuple[str, str], Sequence[str]]) -> O
     for kind, name in _claimed(offer.spec):
         claimants = claims[kind, name]
         if len(claimants) > 1:
-            reason = (
-                f"The {kind} {name!r} is claimed by {' and by '.join(claimants)}; uninstall "
-                "or disable all but one."
+            return replace(
+                offer,
+                status=Status.CONFLICT,
+                reason=f"The {kind} {name!r} is claimed by {' and by '.join(claimants)}; uninstall "
+                "or disable all but one.",
             )
-            return replace(offer, status=Status.CONFLICT, reason=reason)
     return offer
 
 

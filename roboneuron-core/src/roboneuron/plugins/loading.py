@@ -147,8 +147,7 @@ def read_table(
     if unknown:
         return None, [explain_unknown(f"{place}.{key}".lstrip("."), valid) for key in unknown]
     try:
-        text = json.dumps(values, default=_plain)
-        return model.model_validate_json(text, strict=strict), []
+        return model.model_validate_json(json.dumps(values, default=_plain), strict=strict), []
     except ValidationError as error:
         return None, list(_explain(error, model, place, is_partial))
 

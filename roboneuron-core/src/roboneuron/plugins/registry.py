@@ -95,8 +95,10 @@ class Registry:
         kind.
         """
         if kind not in self.kinds:
-            message = f"{kind!r} is no kind of plugin, expected one of {', '.join(self.kinds)}."
-            raise ConfigurationError(message, hint=nearest(kind, self.kinds))
+            raise ConfigurationError(
+                f"{kind!r} is no kind of plugin, expected one of {', '.join(self.kinds)}.",
+                hint=nearest(kind, self.kinds),
+            )
         return tuple(o for o in self.all_offers if o.spec.kind == kind)
 
     def readers_of(self, name: str) -> Iterator[Spec | DriverSpec]:

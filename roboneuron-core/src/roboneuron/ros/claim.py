@@ -76,9 +76,8 @@ def claimant(node: str) -> int | None:
 
 def runs_already(node: str, pid: int | str) -> StateError:
     """Create the error for a node that another process runs; a `pid` of 0 is unknown."""
-    who = f"process {pid}" if pid else "a process"
     return StateError(
-        f"{node} runs already, as {who} of another server.",
+        f"{node} runs already, as {f'process {pid}' if pid else 'a process'} of another server.",
         hint="Stop that server, or give this one another [robot] namespace or ROS_DOMAIN_ID.",
     )
 

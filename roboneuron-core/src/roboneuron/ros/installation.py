@@ -66,8 +66,12 @@ def find_sourced(environment: Mapping[str, str], prefix: str) -> Sourced | None:
     for found in foreign:
         for package in sorted(found.glob(_RCLPY)):
             major, _, minor = package.parents[1].name.removeprefix("python").partition(".")
-            distribution = environment.get("ROS_DISTRO") or found.name
-            return Sourced(found, distribution, (int(major), int(minor)), tuple(foreign))
+            return Sourced(
+                found,
+                environment.get("ROS_DISTRO") or found.name,
+                (int(major), int(minor)),
+                tuple(foreign),
+            )
     return None
 
 

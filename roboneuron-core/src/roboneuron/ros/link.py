@@ -135,9 +135,11 @@ class RosLink:
         """Like `subscribe`, with the reliability of the present publishers; if `latched`, also
         receive the last message, if all publishers keep it.
         """
-        publishers = self.node.get_publishers_info_by_topic(topic)
         return self.subscribe(
-            message_type, topic, callback, requested_qos(publishers, depth, latched=latched)
+            message_type,
+            topic,
+            callback,
+            requested_qos(self.node.get_publishers_info_by_topic(topic), depth, latched=latched),
         )
 
     def subscribe(

@@ -145,11 +145,11 @@ class Host:
         }
         if not gates:
             package = package_of("feature", "direct-path")
-            hint = (
-                "The feature 'direct-path' does. If it is not installed: "
-                f"{install_command(package or '')}."
+            raise StateError(
+                "No feature sends messages for others here.",
+                hint="The feature 'direct-path' does. If it is not installed: "
+                f"{install_command(package or '')}.",
             )
-            raise StateError("No feature sends messages for others here.", hint=hint)
         if len(gates) > 1:
             raise ConfigurationError(
                 f"The features {' and '.join(map(repr, sorted(gates)))} each offer a gate; a "

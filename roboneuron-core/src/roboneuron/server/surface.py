@@ -254,9 +254,13 @@ class RequestContext:
         watched = self._watched
         with nullcontext() if on_leave is None or watched is None else watched(on_leave):
             try:
-                # a separate thread: a stop never waits for threads of other calls
-                thread = anyio.CapacityLimiter(1)
-                return await to_thread.run_sync(work, stage, abandon_on_cancel=True, limiter=thread)
+                return await to_thread.run_sync(
+                    work,
+                    stage,
+                    abandon_on_cancel=True,
+                    # a separate thread: a stop never waits for threads of other calls
+                    limiter=anyio.CapacityLimiter(1),
+                )
             except anyio.get_cancelled_exc_class():
                 on_cancel()
                 raise

@@ -202,6 +202,27 @@ class MotionArbiter:
                 rule="ownership",
             )
 
+    def watch_stops(self, exposed: ExposedEndpoint) -> Callable[[], str]:
+        """Return a function that names the newest stop since now; empty for none, and for an
+        endpoint that moves nothing.
+        """
+        if not exposed.moves:
+            return str
+        self._starts.look()  # an earlier stop of the robot does not count
+        stops = self._starts.arm_stops
+        return lambda: self._starts.reason if self._starts.arm_stops != stops else ""
+
+    def check_unstopped(self, exposed: ExposedEndpoint, newest: Callable[[], str]) -> None:
+        """Raise StateError if there was a stop since a request, with the function of
+        `watch_stops` from then.
+        """
+        if exposed.moves:
+            self._starts.look()
+        if reason := newest():
+            raise StateError(
+                f"There was a stop meanwhile: {reason}. Nothing was sent.", hint="Ask again."
+            )
+
     @contextmanager
     def claim(
         self, exposed: ExposedEndpoint, what: str, halt: threading.Event
@@ -218,14 +239,11 @@ class MotionArbiter:
             NotReadyError: control follows actions and does not reach its hold.
             StateError: as `ActiveMotion.check`.
         """
-        if exposed.moves:
-            self._starts.look()  # an earlier stop of the robot is no reason to end it
-        stops = self._starts.arm_stops
+        newest = self.watch_stops(exposed)
 
         def stopped() -> str:
-            if not exposed.moves or self._starts.arm_stops == stops:
-                return ""
-            return f"It was stopped: {self._starts.reason}. The motion is not resumed."
+            reason = newest()
+            return f"It was stopped: {reason}. The motion is not resumed." if reason else ""
 
         policy = partial(self._policy, exposed) if exposed.moves else str
         motion = ActiveMotion(self._gate, exposed, what, halt, policy, stopped)

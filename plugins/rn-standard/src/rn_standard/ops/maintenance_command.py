@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import getpass
 import sys
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
@@ -44,7 +43,7 @@ class Maintenance:
         """
         from rn_standard.ops.maintenance import MaintenanceFile
         from roboneuron import RefusedError
-        from roboneuron.command import AuditLog, Role, environment, estop, reading
+        from roboneuron.command import AuditLog, Role, environment, estop, reading, user_at_terminal
 
         configured = reading.read_state_directory(arguments.config) if arguments.config else None
         directory = environment.state_directory(
@@ -54,7 +53,7 @@ class Maintenance:
         folders = sorted(of_robots.glob("*")) or [directory]
         if arguments.robot:
             folders = [of_robots / arguments.robot]
-        who, status = f"{getpass.getuser()} at the command line", 0
+        who, status = user_at_terminal(), 0
         if arguments.end and not sys.stdin.isatty():
             raise RefusedError(
                 "Only a person in a terminal can put the robot back in service, and this is no "

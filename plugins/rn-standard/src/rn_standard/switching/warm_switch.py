@@ -144,6 +144,18 @@ class WarmSwitch:
                 "nothing was replaced."
             )
 
+    def _check_stops(self, standby: Slot) -> None:
+        """Raise StateError if only the old module needs a new start, after a stop that the new one
+        has not seen, such as the end of a lead.
+        """
+        old, new = self._working().report, standby.report
+        if old is not None and old.needs_start and new is not None and not new.needs_start:
+            raise StateError(
+                f"The running {self._check.noun} was stopped meanwhile: {old.needs_start}; nothing "
+                "was replaced.",
+                hint="Ask again.",
+            )
+
     def _follow_instruction(self, standby: Slot) -> None:
         """Send the new module the instruction and the requests for motion that came while it was
         loaded.
@@ -227,6 +239,7 @@ class WarmSwitch:
             bridged_ns = self._bridged_ns(latency_s)
             moment_ns, due_s = self._agree(clients[1], standby, margin_s, bridged_ns)
             leave = {ACT_UNTIL: moment_ns, PLAY_UNTIL: moment_ns + int(latency_s * 1e9)}
+            self._check_stops(standby)
             self._tell(clients[0], leave, due_s - time.monotonic() - _LATEST_S, standby)
             if self._check.is_due():
                 self._await_first_output(standby, due_s, latency_s)

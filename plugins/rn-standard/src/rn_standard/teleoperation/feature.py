@@ -138,14 +138,19 @@ class Teleoperation(Feature[None]):
 
     def _begin_anew(self) -> str:
         """Make the policy discard its plan from before the lead; return its instruction."""
-        text = self._host.loop.starts.instruction
+        starts = self._host.loop.starts
+        text, ticket = starts.instruction, starts.ticket
         if not text or self._host.modules.view("inference").phase != "running":
             return ""
         values = {settings.INSTRUCTION_PARAMETER: text}
         refused = self._host.loop.set_parameters("inference", values, _TOLD_S, _TOLD_S)
         if refused:
             raise StateError(f"The policy refuses to begin anew: {refused}.")
-        return text
+        if starts.ticket != ticket:
+            # a stop or another instruction came between: the policy gets the one that is valid now
+            values = {settings.INSTRUCTION_PARAMETER: starts.instruction}
+            self._host.loop.set_parameters("inference", values, _TOLD_S, _TOLD_S)
+        return starts.instruction
 
     def _made(self, arguments: LeadArm, context: CallContext) -> Lead:
         """Create a lead without starting it. Raises as `begin`."""

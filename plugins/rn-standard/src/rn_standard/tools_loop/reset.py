@@ -10,6 +10,8 @@ from pydantic import Field
 from roboneuron import CallContext, NoArguments, RefusedError, Result, Tool
 from roboneuron.feature import ClosedLoop, Role
 
+_NOT_LATCHED = "The emergency stop is not latched; nothing was changed."
+
 
 class ReleaseResult(Result):
     """State of the latch, as reported by the modules themselves."""
@@ -24,13 +26,13 @@ def reset_tool(loop: ClosedLoop) -> Tool[NoArguments]:
     """reset_emergency_stop."""
     stop = loop.emergency_stop
 
-    async def ask_person(context: CallContext, *, for_pin: bool) -> str:
+    async def ask_person(since_ns: int, context: CallContext, *, for_pin: bool) -> str:
         """Return the PIN typed by a person; raise RefusedError unless the person agreed to release
         this particular stop.
         """
-        before, cause = stop.file.read_state(), stop.cause()
+        cause = stop.cause()
         since = (
-            datetime.fromtimestamp(min(max(before.time_ns, 0), 2**62) / 1e9, UTC)
+            datetime.fromtimestamp(min(max(since_ns, 0), 2**62) / 1e9, UTC)
             .astimezone()
             .isoformat(" ", "milliseconds")
         )
@@ -41,7 +43,7 @@ def reset_tool(loop: ClosedLoop) -> Tool[NoArguments]:
             "moves the arm."
         )
         answer = await context.ask(question, "PIN" if for_pin else "")
-        if answer and stop.file.read_state().time_ns == before.time_ns:
+        if answer and stop.file.read_state().time_ns == since_ns:
             return answer
         why = {None: "this client cannot ask one", "": "the person did not agree"}.get(
             answer, "it was pressed again"
@@ -55,13 +57,19 @@ def reset_tool(loop: ClosedLoop) -> Tool[NoArguments]:
         )
 
     async def reset(_: NoArguments, context: CallContext) -> ReleaseResult:
+        # first: nobody has agreed to release a stop that is pressed from here on
+        since_ns = stop.file.read_state().time_ns
+        if not stop.is_latched():
+            return ReleaseResult(latched=False, confirmed_by=[], took_s=0.0, note=_NOT_LATCHED)
         who, pin = context.who, ""
         for_pin = stop.needs_pin
-        if (for_pin or loop.base.server.reset_emergency_stop == "person") and stop.is_latched():
-            pin = await ask_person(context, for_pin=for_pin)
+        if for_pin or loop.base.server.reset_emergency_stop == "person":
+            pin = await ask_person(since_ns, context, for_pin=for_pin)
             who = f"a person asked by {who}"
         confirmed, took_s = await context.run(
-            lambda _: stop.reset(loop.config.namespace, who=who, role=context.role, pin=pin)
+            lambda _: stop.reset(
+                loop.config.namespace, who=who, role=context.role, pin=pin, agreed_ns=since_ns
+            )
         )
         return ReleaseResult(
             latched=False, confirmed_by=confirmed, took_s=round(took_s, 3), note=loop.starts.AGAIN
