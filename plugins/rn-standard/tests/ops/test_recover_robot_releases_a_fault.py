@@ -201,6 +201,7 @@ def test_a_role_below_operator_is_refused_before_anything_happens(
 @pytest.mark.ros
 def test_without_an_audit_nothing_is_recovered(served: Served) -> None:
     served.fault.write_text("reflex")
+    served.audit.touch()
     kept = served.audit.with_suffix(".kept")
     served.audit.rename(kept)
     served.audit.mkdir()
