@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -180,6 +181,20 @@ def test_a_motion_without_a_say_of_stops_ends_for_none(cell: Cell, place: Place)
     motion.check()
     assert (motion.exposed.label, motion.what) == ("velocity", "a test")
     assert motion.stop_now() is None
+
+
+@pytest.mark.parametrize(("limit_s", "ends"), [(0.5, True), (2.0, False)])
+def test_a_motion_ends_with_a_freeze_of_the_configured_length(
+    cell: Cell, place: Place, limit_s: float, ends: bool
+) -> None:
+    arbiter = MotionArbiter(
+        cell.gate, lambda exposed: "", cell.loop, lambda exposed: False, 0.0, limit_s
+    )
+    with arbiter.claim(place(), "a test", cell.halt) as motion:
+        cell.clock.now_s += 1.0
+        refused = pytest.raises(StateError, match=r"frozen for 1\.0 s")
+        with refused if ends else nullcontext():
+            motion.check()
 
 
 # Waiting

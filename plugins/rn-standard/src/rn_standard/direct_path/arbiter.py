@@ -17,8 +17,10 @@ from rn_standard.direct_path.gate import Gate
 from roboneuron import NotReadyError, RefusedError, RoboNeuronError, StateError
 from roboneuron.feature import ClosedLoop, ExposedEndpoint
 
-_FROZEN_S = 2.0
-"""Modules hold the robot after such a silence of the server; a motion is checked every 10 ms."""
+FROZEN_S = 2.0
+"""Silence of the server after which modules hold the robot by default, and its own motions end; a
+motion is checked every 10 ms.
+"""
 POLL_S = 0.01
 """Period at which a lasting motion checks the latch; with one publish it is well within 50 ms."""
 
@@ -80,8 +82,9 @@ class ActiveMotion:
         halt: threading.Event,
         policy: Callable[[], str],
         stopped: Callable[[], str] = lambda: "",
+        frozen_s: float = FROZEN_S,
     ) -> None:
-        self._stopped = stopped
+        self._stopped, self._frozen_s = stopped, frozen_s
         self._looked_s = time.monotonic()
         self.exposed = exposed
         self.what = what
@@ -108,7 +111,7 @@ class ActiveMotion:
         """
         self._gate.check_running()
         frozen_s, self._looked_s = time.monotonic() - self._looked_s, time.monotonic()
-        if frozen_s > _FROZEN_S:
+        if frozen_s > self._frozen_s:
             raise StateError(
                 f"The server was frozen for {frozen_s:.1f} s; the motion is not resumed."
             )
@@ -148,6 +151,7 @@ class MotionArbiter:
         loop: ClosedLoop,
         is_followed: Callable[[ExposedEndpoint], bool] = lambda exposed: False,
         hold_s: float = 2.0,
+        frozen_s: float = FROZEN_S,
     ) -> None:
         """Args:
         gate: checks whether motion may continue.
@@ -156,8 +160,9 @@ class MotionArbiter:
         is_followed: returns True if control still follows actions: it will hold, and the hold would
             end another motion.
         hold_s: longest wait for that hold.
+        frozen_s: a motion ends when this process was frozen for longer [s].
         """
-        self._is_followed, self._hold_s = is_followed, hold_s
+        self._is_followed, self._hold_s, self._frozen_s = is_followed, hold_s, frozen_s
         self._gate = gate
         self._policy = policy
         self._starts = loop.starts
@@ -246,7 +251,7 @@ class MotionArbiter:
             return f"It was stopped: {reason}. The motion is not resumed." if reason else ""
 
         policy = partial(self._policy, exposed) if exposed.moves else str
-        motion = ActiveMotion(self._gate, exposed, what, halt, policy, stopped)
+        motion = ActiveMotion(self._gate, exposed, what, halt, policy, stopped, self._frozen_s)
         key = exposed.robot if exposed.moves else f"{exposed.robot}/{exposed.topic}"
         with self._lock:
             self.check_free(exposed)
