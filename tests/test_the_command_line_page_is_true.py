@@ -8,6 +8,7 @@ from pathlib import Path
 from rn_standard.console.judge import RunOutcome
 from rn_standard.console.parsers import whole_parser
 from rn_standard.console.reference import with_reference
+from roboneuron.plugins.availability import known_names
 
 
 def test_its_reference_is_current(root: Path) -> None:
@@ -34,3 +35,20 @@ def test_its_exit_statuses_are_those_of_run(root: Path) -> None:
     table = page.partition("| exit status |")[2].partition("\n\n")[0]
     listed = {int(number) for number in re.findall(r"^\| (\d+) \|", table, re.MULTILINE)}
     assert listed == {int(outcome) for outcome in RunOutcome} | {2}
+
+
+def test_its_prose_names_the_packages_of_commands_that_requirements_lack(root: Path) -> None:
+    page = (root / "docs" / "command-line.md").read_text(encoding="utf-8").partition("\n## ")[0]
+    listed = (root / "requirements.txt").read_text(encoding="utf-8").splitlines()
+    others = {
+        name.replace("-", " ", 1) if name.startswith("plugins-") else name: package
+        for name, package in known_names("command").items()
+        if f"./plugins/{package}" not in listed
+    }
+    prose = " ".join(page.split())
+    told = {
+        name: package
+        for names, package in re.findall(r"((?:`[a-z -]+`(?:,| and)? ?)+)\((rn-[a-z-]+)\)", prose)
+        for name in re.findall(r"`([a-z -]+)`", names)
+    }
+    assert told == others

@@ -182,7 +182,8 @@ class Tool(Generic[A]):
         destructive: it may end or undo something.
         idempotent: a second call changes nothing more.
         open_world: affects what this server does not control (including the physical world).
-        listed: in tools/list; other tools are found by search and can be called by name.
+        listed: in tools/list; other tools can be called by name. Of these, find_tools finds only
+            derived ones.
         offered: returns True if it applies to the present robot, evaluated for each listing; it can
             be called by name in any case.
         seldom: rarely needed; a server of several robots may omit it from its list and leave it to
