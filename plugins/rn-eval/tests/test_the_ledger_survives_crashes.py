@@ -8,13 +8,15 @@ import io
 import json
 import resource
 import signal
+from argparse import Namespace
 
 import pytest
 from rich.console import Console
 
+from rn_eval import command_plans
 from rn_eval.evaluate import evaluate
 from rn_eval.ledger import FILE_NAME, Ledger, read_records
-from rn_eval.plan import Key
+from rn_eval.plan import Key, fingerprint
 from rn_eval.pools import InProcess
 from rn_eval.record import EpisodeOutcome, EpisodeRecord
 from roboneuron import ConfigurationError, StateError
@@ -154,6 +156,22 @@ def test_a_ledger_of_other_settings_is_refused(plan, tmp_path):
         ledger.open(plan())
     with pytest.raises(ConfigurationError, match="another first_seed"), Ledger(tmp_path) as ledger:
         ledger.open(plan(first_seed=5))
+
+
+def test_a_run_is_not_resumed_with_another_checkpoint_of_the_same_name(plan, tmp_path, monkeypatch):
+    monkeypatch.setattr(command_plans, "limit_threads", lambda count: None)
+    checkpoint = tmp_path / "model"
+    checkpoint.write_text("A")
+    made = plan(checkpoint=str(checkpoint), checkpoint_sha256=fingerprint(str(checkpoint)))
+    with Ledger(tmp_path / "run") as ledger:
+        ledger.open(made)
+    checkpoint.write_text("B")
+    now = command_plans.resumed(Namespace(directory=tmp_path / "run"))
+    with (
+        pytest.raises(ConfigurationError, match="another checkpoint_sha256"),
+        Ledger(tmp_path / "run") as ledger,
+    ):
+        ledger.open(now)
 
 
 def test_a_line_holds_what_a_reader_needs(plan, tmp_path):

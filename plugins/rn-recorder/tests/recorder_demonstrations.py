@@ -5,13 +5,13 @@ arm.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
 from rclpy.serialization import serialize_message
 
-from rn_recorder_runs.files import Record, RunFile, write_json
+from rn_recorder_runs.files import Record, RunFile, read_records, write_json
 from rn_recorder_runs.images import to_string
 from rn_recorder_runs.predictions import prediction_record
 from rn_recorder_runs.store import RUN_FILE, Run, RunStore
@@ -143,3 +143,16 @@ def store_in(path: Path) -> RunStore:
     store = RunStore(path / "runs")
     store.make()
     return store
+
+
+def rewritten(run: Run, name: str, change: Callable[[Record], Record | None]) -> Run:
+    """A run of the same messages but for what `change` makes of them; None loses one."""
+    folder = run.files[0].parent.parent / name
+    folder.mkdir()
+    file = RunFile(folder / "part-0001.mcap", {"robot": "toy"})
+    for record in read_records(run.files[0]):
+        kept = change(record)
+        if kept is not None:
+            file.write(kept)
+    file.finish()
+    return Run(id=name, kind="recording", files=(folder / "part-0001.mcap",), facts={})

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -43,6 +44,13 @@ for line in sys.stdin:
         run["id"] = order["name"] + "-run"
         print(json.dumps({"re": order["number"], "id": run["id"]}), flush=True)
 """
+REPEATS = OBEYS.replace("import json", "seen = []\nimport json").replace(
+    """    if order["do"] == "start":""",
+    """    seen.append(order.get("name"))
+    if order["do"] == "start":""",
+)
+REPEATS = REPEATS.replace('"id": run["id"]}', '"id": run["id"], "order": order, "seen": seen}')
+"""Its answers contain the order, and the names of all orders that came."""
 SLOW = "import time; time.sleep(1.0)\n" + OBEYS
 
 
@@ -112,6 +120,42 @@ def test_the_recording_of_a_server_begins_with_the_recorder_that_obeys(
     Recorder(RecorderOptions())._record(process)
     assert process._resume == ("server-run", "server")
     assert process.starts >= 2
+
+
+def test_an_order_is_not_executed_after_its_caller_has_given_up(
+    keep: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    comes, asked = threading.Event(), RecorderProcess._serve
+
+    def serve(process: RecorderProcess, child: subprocess.Popen[bytes]) -> None:
+        comes.wait(60.0)
+        asked(process, child)
+
+    monkeypatch.setattr(RecorderProcess, "_serve", serve)
+    process = keep(REPEATS)
+    with pytest.raises(NotReadyError, match="has not answered"):
+        process.ask({"do": "start", "name": "early", "facts": {}}, timeout_s=0.05)
+    comes.set()
+    assert process.wait_for_status()
+    answer = process.ask({"do": "start", "name": "later", "facts": {}}, timeout_s=60.0)
+    assert answer["id"] == "later-run"
+    assert answer["seen"] == ["later"]
+
+
+def test_an_order_tells_until_when_it_is_valid(keep: Callable[..., Any]) -> None:
+    process = keep(REPEATS)
+    before_s = time.monotonic()
+    answer = process.ask({"do": "start", "name": "mine", "facts": {}}, timeout_s=60.0)
+    share_s = module.VALID_SHARE * 60.0
+    assert share_s < 60.0
+    assert before_s <= answer["order"]["until_s"] - share_s <= time.monotonic()
+
+
+def test_a_recording_that_begins_after_its_caller_has_given_up_is_ended() -> None:
+    process = RecorderProcess(lambda number, resume, name: pytest.fail("nobody starts it"))
+    process._take({"re": 7, "id": "late-run"})
+    assert process._orders.get_nowait() == {"do": "stop", "run": "late-run", "facts": {}}
+    assert process._answers == {}
 
 
 def test_nobody_waits_for_a_recorder_that_is_closed() -> None:

@@ -17,14 +17,14 @@ import av
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from recorder_demonstrations import action, picture, record_run, store_in
+from recorder_demonstrations import action, picture, record_run, rewritten, store_in
 from recorder_expectations import expected_episode
 
 from rn_recorder_runs.command import Runs
-from rn_recorder_runs.files import Record, RunFile, read_records
+from rn_recorder_runs.files import Record
 from rn_recorder_runs.lerobot import export
 from rn_recorder_runs.statistics import merge, stats_of
-from rn_recorder_runs.store import Run, RunStore
+from rn_recorder_runs.store import RunStore
 from rn_recorder_runs.video import Codec
 from roboneuron import (
     ConfigurationError,
@@ -114,19 +114,6 @@ def test_episodes_are_selected_by_outcome(tmp_path: Path) -> None:
         export(runs, tmp_path / "set", outcome=None, fps=None, codec="h264")
     with pytest.raises(InvalidInputError, match="No episode with the outcome 'unknown'"):
         export(runs, tmp_path / "other", outcome="unknown", fps=None, codec="h264")
-
-
-def rewritten(run: Run, name: str, change: Callable[[Record], Record | None]) -> Run:
-    """A run of the same messages but for what `change` makes of them; None loses one."""
-    folder = run.files[0].parent.parent / name
-    folder.mkdir()
-    file = RunFile(folder / "part-0001.mcap", {"robot": "toy"})
-    for record in read_records(run.files[0]):
-        kept = change(record)
-        if kept is not None:
-            file.write(kept)
-    file.finish()
-    return Run(id=name, kind="recording", files=(folder / "part-0001.mcap",), facts={})
 
 
 def losing_image(number: int) -> Callable[[Record], Record | None]:

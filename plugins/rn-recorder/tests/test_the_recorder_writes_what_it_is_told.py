@@ -5,6 +5,7 @@ the files.
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -75,6 +76,35 @@ def finished(process: RecorderWorker) -> list[Run]:
     process._turn()
     process.recording.close()
     return process.recording.store.runs()
+
+
+def test_an_order_that_comes_too_late_is_not_obeyed(record: Callable[..., RecorderWorker]) -> None:
+    process = record("lossless")
+    active = process.recording.active_id
+    now_s = time.monotonic()
+    stop = {"do": "stop", "number": 2, "facts": {}}
+    process._orders.append({**stop, "until_s": now_s - 1e-3})
+    process._turn()
+    assert process.recording.active_id == active
+    process._orders.append({**stop, "until_s": now_s + 3600.0})
+    process._turn()
+    assert process.recording.active_id == ""
+    process._orders.append(
+        {"do": "start", "number": 3, "name": "late", "facts": {}, "until_s": now_s - 1e-3}
+    )
+    process._turn()
+    assert process.recording.active_id == ""
+
+
+def test_a_stop_of_another_recording_is_not_obeyed(record: Callable[..., RecorderWorker]) -> None:
+    process = record("lossless")
+    active = process.recording.active_id
+    process._orders.append({"do": "stop", "number": 2, "run": "an-older-one", "facts": {}})
+    process._turn()
+    assert process.recording.active_id == active
+    process._orders.append({"do": "stop", "number": 3, "run": active, "facts": {}})
+    process._turn()
+    assert process.recording.active_id == ""
 
 
 def test_calls_changes_and_verdicts_are_in_the_file(

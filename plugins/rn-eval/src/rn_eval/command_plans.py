@@ -30,10 +30,18 @@ def limit_threads(count: int) -> None:
 
 
 def resumed(arguments: Namespace) -> EvalPlan:
-    """Plan of an existing run, with the versions installed now."""
+    """Plan of an existing run, with the versions and the checkpoint's files of now.
+
+    Raises:
+        ConfigurationError: there is none, or its checkpoint is missing.
+    """
     from rn_eval.ledger import read_plan
+    from rn_eval.plan import fingerprint
 
     plan = read_plan(arguments.directory)
+    if plan.checkpoint_sha256:  # the ledger refuses another one, because its path may be the same
+        digest = fingerprint(plan.checkpoint)
+        plan = plan.model_copy(update={"checkpoint_sha256": digest})
     limit_threads(plan.threads)
     return _with_versions(plan)
 

@@ -75,6 +75,15 @@ class LedgerPlan(Protocol):
     def later_versions(self) -> tuple[dict[str, str], ...]: ...
     @property
     def identity(self) -> dict[str, object]: ...
+    @property
+    def parts(self) -> dict[str, str]:
+        """Definitions by name; others may be added, but a name in two plans means the same."""
+        ...
+
+    def continued_by(self, now: Self, /) -> Self:
+        """Return the plan to store when `now` continues this one."""
+        ...
+
     @classmethod
     def model_validate_json(cls, json_data: str, /) -> Self: ...
     def model_copy(self, *, update: dict[str, object]) -> Self: ...
@@ -192,7 +201,7 @@ class RunLedger(Generic[PlanT, RecordT]):
         if (self.directory / PLAN_NAME).exists():
             before = read_plan_of(self.directory, self._plan_kind)
             _check_same(before, plan, self.directory)
-            plan = self._with_versions(before, plan)
+            plan = before.continued_by(self._with_versions(before, plan))
         _write_durably(self.directory / PLAN_NAME, plan.model_dump_json(indent=1).encode())
         self.plan = plan
         found = read_records_of(self.directory, self._record_kind)
@@ -302,6 +311,21 @@ def _check_same(old: LedgerPlan, new: LedgerPlan, directory: Path) -> None:
             f"{json.dumps(now[name])[:200]}.",
             hint="Choose another --out, or give what that run was begun with.",
         )
+    known, given = old.parts, new.parts
+    other = [name for name in known if name in given and known[name] != given[name]]
+    if other:
+        name = other[0]
+        raise ConfigurationError(
+            f"{directory} holds episodes of another agent {name!r}: {_shown(known[name])}, now "
+            f"{_shown(given[name])}.",
+            hint="Give the new agent another name, choose another --out, or give the command that "
+            "the run was begun with.",
+        )
+
+
+def _shown(command: str) -> str:
+    """A command line for a message; "" stands for an installed agent."""
+    return json.dumps(command)[:200] if command else "the installed one"
 
 
 def _write_durably(path: Path, data: bytes) -> None:

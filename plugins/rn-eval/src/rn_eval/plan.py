@@ -128,6 +128,15 @@ class EvalPlan(BaseModel):
         return self.model_dump(mode="json", exclude=growing)
 
     @property
+    def parts(self) -> dict[str, str]:
+        """Nothing: the names of variants say all."""
+        return {}
+
+    def continued_by(self, now: EvalPlan) -> EvalPlan:
+        """Return the plan `now`."""
+        return now
+
+    @property
     def variants(self) -> tuple[Variant, ...]:
         """All variants, grouped by preset, so that a worker seldom loads another one."""
         return tuple(

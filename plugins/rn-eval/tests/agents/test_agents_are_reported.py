@@ -49,6 +49,38 @@ def test_every_subject_plays_every_episode():
     assert len({key.slug for key in keys}) == 8
 
 
+def begun(folder: Path, **more) -> None:
+    """Begin or continue a run."""
+    with RunLedger(folder, AgentPlan, AgentRecord) as ledger:
+        ledger.open(plan(**more))
+
+
+def agents(**commands: str) -> dict[str, object]:
+    return {"subjects": tuple(commands), "commands": commands}
+
+
+def test_episodes_of_two_commands_are_not_mixed_under_one_name(tmp_path: Path):
+    begun(tmp_path, **agents(mine="cmd --model A"))
+    stored = (tmp_path / "plan.json").read_bytes()
+    with pytest.raises(ConfigurationError, match=r"'mine'.*--model A.*--model B"):
+        begun(tmp_path, **agents(mine="cmd --model B"))
+    assert (tmp_path / "plan.json").read_bytes() == stored
+    begun(tmp_path, **agents(mine="cmd --model A", new="cmd --model B"))
+
+
+def test_a_name_means_the_same_also_after_a_run_without_it(tmp_path: Path):
+    begun(tmp_path, **agents(mine="cmd --model A"))
+    begun(tmp_path, **agents(new="cmd --model B"))
+    with pytest.raises(ConfigurationError, match=r"'mine'.*--model A.*--model C"):
+        begun(tmp_path, **agents(mine="cmd --model C"))
+
+
+def test_an_installed_agent_is_not_replaced_by_a_command(tmp_path: Path):
+    begun(tmp_path)
+    with pytest.raises(ConfigurationError, match="'perfect': the installed one, now"):
+        begun(tmp_path, **agents(perfect="cmd"))
+
+
 def test_a_ledger_is_continued_with_more_but_not_otherwise(tmp_path: Path):
     with RunLedger(tmp_path, AgentPlan, AgentRecord) as ledger:
         ledger.open(plan())

@@ -28,6 +28,10 @@ STARTING_S = 60.0
 """Time allowed until its first status: it imports ROS and joins, on a machine that is busy with
 other starts.
 """
+VALID_SHARE = 0.75
+"""Share of a caller's waiting time in which the recorder may begin to obey; the rest is for the
+answer.
+"""
 _LEAVE_S = 4.0
 _BACKOFF_S = (0.5, 2.0, 5.0, 15.0, 30.0)
 _STEADY_S = 60.0
@@ -50,6 +54,8 @@ class RecorderProcess:
         # bounded by `_put`, because `queue.Queue` takes Python locks on the calling thread
         self._orders: queue.SimpleQueue[dict[str, object]] = queue.SimpleQueue()
         self._answers: dict[int, dict[str, Any]] = {}
+        self._awaited: set[int] = set()
+        """Numbers of the orders whose callers still wait; guarded by `_changed`."""
         self._changed = threading.Condition()
         self._closing = threading.Event()
         self._child: subprocess.Popen[bytes] | None = None
@@ -109,7 +115,8 @@ class RecorderProcess:
         return has_room
 
     def ask(self, order: Mapping[str, object], timeout_s: float) -> dict[str, Any]:
-        """Send an order and return the answer.
+        """Send an order and return the answer. An order without an answer in time is not executed
+        later.
 
         Raises:
             NotReadyError: it does not run, ended meanwhile, or did not answer in time.
@@ -117,10 +124,24 @@ class RecorderProcess:
         with self._changed:
             self._number += 1
             number, ends = self._number, self.ends
-        if not self._put({**order, "number": number}):
-            raise NotReadyError(
-                "The recorder takes no orders.", hint="list_recordings tells how it is."
-            )
+            self._awaited.add(number)
+        # the recorder has the same monotonic clock, because it runs on this machine
+        until_s = time.monotonic() + VALID_SHARE * timeout_s
+        try:
+            if not self._put({**order, "number": number, "until_s": until_s}):
+                raise NotReadyError(
+                    "The recorder takes no orders.", hint="list_recordings tells how it is."
+                )
+            return self._answer_to(number, ends, timeout_s)
+        finally:
+            with self._changed:
+                self._awaited.discard(number)
+                self._answers.pop(number, None)
+
+    def _answer_to(self, number: int, ends: int, timeout_s: float) -> dict[str, Any]:
+        """Wait for the answer to an order that was given after `ends` ends. Raises NotReadyError
+        as `ask`.
+        """
         with self._changed:
             self._changed.wait_for(lambda: number in self._answers or self.ends > ends, timeout_s)
             if number not in self._answers and self.ends > ends:
@@ -134,7 +155,7 @@ class RecorderProcess:
                     hint="list_recordings tells how it is; its log is recorder.log beside the "
                     "modules' logs.",
                 )
-            return self._answers.pop(number)
+            return self._answers[number]
 
     def wait_for_status(self) -> bool:
         """Wait for the next status of a running recorder; return True if there was one before
@@ -150,6 +171,11 @@ class RecorderProcess:
     def resume_with(self, run_id: str, name: str) -> None:
         """Set the recording that the next process continues if this one dies; empty for none."""
         self._resume = (run_id, name)
+
+    def resume_not(self, run_id: str) -> None:
+        """Do not continue this recording; another one is still continued."""
+        if self._resume[0] == run_id:
+            self._resume = ("", "")
 
     def close(self) -> None:
         """Wait a bounded time for it to finish its files; idempotent."""
@@ -223,10 +249,17 @@ class RecorderProcess:
                     order = self._orders.get(timeout=0.2)
                 except queue.Empty:
                     continue
+                if not self._is_wanted(order):
+                    continue
                 child.stdin.write(json.dumps(order, default=str).encode() + b"\n")
                 child.stdin.flush()
                 if order["do"] == "leave":
                     return
+
+    def _is_wanted(self, order: Mapping[str, object]) -> bool:
+        """True unless the caller of the order has given up."""
+        with self._changed:
+            return "number" not in order or order["number"] in self._awaited
 
     def _read(self, child: subprocess.Popen[bytes]) -> None:
         assert child.stdout is not None
@@ -238,8 +271,16 @@ class RecorderProcess:
                         if "status" in answer:
                             self.status, self._told_s = answer["status"], time.monotonic()
                         elif isinstance(answer.get("re"), int):
-                            self._answers[answer["re"]] = answer
+                            self._take(answer)
                         self._changed.notify_all()
+
+    def _take(self, answer: dict[str, Any]) -> None:
+        """Keep an answer for its caller; with `_changed` held."""
+        if answer["re"] in self._awaited:
+            self._answers[answer["re"]] = answer
+        elif answer.get("id"):  # nobody knows of the recording, so that nobody would end it
+            log.warning("The recording %s began too late: ended.", answer["id"])
+            self._put({"do": "stop", "run": answer["id"], "facts": {}})
 
     def _kill(self, child: subprocess.Popen[bytes]) -> None:
         with suppress(ProcessLookupError, PermissionError):

@@ -131,25 +131,49 @@ class RecordingEnds:
     def __init__(self) -> None:
         self.what: Callable[[str], object] = lambda run: None
         """Called with the id of the recording to be ended."""
+        self.again_s = 5.0
+        """Time until the next attempt while the recorder does not answer [s]."""
+        self._lock = threading.Lock()
         self._timer: threading.Timer | None = None
+        self._run = ""
 
     def after(self, duration_s: float | None, run: str) -> None:
         """End the recording `run` after this time; None for no limit."""
-        self.close()
-        if duration_s is not None:
-            self._timer = threading.Timer(duration_s, self._end, (run,))
-            self._timer.daemon = True
-            self._timer.start()
+        with self._lock:
+            self._cancel()
+            self._run = run
+            if duration_s is not None:
+                self._begin(duration_s)
+
+    def forget(self, run: str) -> None:
+        """Cancel the timer of a recording that has ended; one of another recording stays."""
+        with self._lock:
+            if self._run == run:
+                self._cancel()
 
     def close(self) -> None:
         """Cancel the timer; may be called twice."""
+        with self._lock:
+            self._cancel()
+
+    def _begin(self, duration_s: float) -> None:
+        self._timer = threading.Timer(duration_s, self._end, (self._run,))
+        self._timer.daemon = True
+        self._timer.start()
+
+    def _cancel(self) -> None:
         if self._timer is not None:
             self._timer.cancel()
-            self._timer = None
+        self._timer, self._run = None, ""
 
     def _end(self, run: str) -> None:
         try:
             self.what(run)
+        except NotReadyError as error:
+            log.warning("The recording %s could not be ended yet: %s", run, error)
+            with self._lock:
+                if self._run == run:
+                    self._begin(self.again_s)
         except RoboNeuronError as error:
             log.error("The recording %s could not be ended after its time: %s", run, error)
 
@@ -178,9 +202,9 @@ def recording_tools(
         return answer
 
     def end(run: str) -> None:
-        """End a recording whose time is over; a stopped one has cancelled its timer."""
-        recorder().resume_with("", "")
-        ask({"do": "stop", "facts": {}})
+        """End a recording whose time is over, but not a newer one."""
+        recorder().resume_not(run)
+        ask({"do": "stop", "run": run, "facts": {}})
 
     ends.what = end
 
@@ -196,9 +220,9 @@ def recording_tools(
         facts: dict[str, object] = {"outcome": arguments.outcome}
         if arguments.note:
             facts["note"] = arguments.note
-        ends.close()
         recorder().resume_with("", "")
         run = (await context.run(lambda _: ask({"do": "stop", "facts": facts})))["run"]
+        ends.forget(run["id"])
         found = await context.run(lambda _: store.get(run["id"]))
         return StoppedRecording(
             id=run["id"],

@@ -308,4 +308,12 @@ def _episode_entry(
 
 
 def _write_json(path: Path, value: Mapping[str, object]) -> None:
-    path.write_text(json.dumps(value, indent=2), encoding="utf-8")
+    """Write a file of JSON. Raises StateError for a number that JSON does not have."""
+    try:
+        text = json.dumps(value, indent=2, allow_nan=False)
+    except ValueError as error:
+        raise StateError(
+            f"{path.name} would contain a number that is not finite.",
+            hint="Export the runs one by one to find the one that contains it.",
+        ) from error
+    path.write_text(text, encoding="utf-8")

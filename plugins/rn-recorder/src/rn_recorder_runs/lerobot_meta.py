@@ -133,7 +133,7 @@ def tasks(pa: ModuleType, tasks: Sequence[str]) -> object:
         "columns": described,
         "pandas_version": "2.0.0",
     }
-    return table.replace_schema_metadata({"pandas": json.dumps(pandas)})
+    return table.replace_schema_metadata({"pandas": json.dumps(pandas, allow_nan=False)})
 
 
 def info(
@@ -166,7 +166,10 @@ def origin(
 ) -> dict[str, object]:
     """Units, frames and the origin of each episode."""
     about = read_about(sources[0].run.files[0])
-    contract = json.loads(about.get("contract", "{}"))
+    # a limit may be infinite, which JSON can only tell as text
+    contract, config = (
+        json.loads(about.get(name, "{}"), parse_constant=str) for name in ("contract", "config")
+    )
     return {
         "contract": contract,
         "action_space": sources[0].episodes[0].labels[0],
@@ -176,7 +179,7 @@ def origin(
         "displacement that was commanded, with the opening asked for last; "
         "roboneuron.policy_action is what the policy asked for",
         "roboneuron.who": dict(enumerate(WHO)),
-        "config": json.loads(about.get("config", "{}")),
+        "config": config,
         "roboneuron": about.get("roboneuron", ""),
         "episodes": [
             {

@@ -85,7 +85,7 @@ def lerobot_writer(
         is_told = False
         try:
             with suppress(BrokenPipeError):  # exit status and last output contain the reason
-                process.stdin.write(json.dumps(about).encode() + b"\n")
+                process.stdin.write(json.dumps(about, allow_nan=False).encode() + b"\n")
                 yield LerobotWriter(process.stdin, list(features))
                 process.stdin.close()
                 is_told = True

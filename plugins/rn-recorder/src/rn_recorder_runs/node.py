@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 import logging
+import math
 import os
 import signal
 import sys
@@ -197,6 +198,7 @@ class RecorderWorker:
             return
         answer: dict[str, Any] = {"re": order.get("number")}
         try:
+            self._check(order)
             if what == "start":
                 answer["id"] = self.recording.start(str(order["name"]), dict(order["facts"]))
                 self._missed_before = self._missed()
@@ -206,6 +208,16 @@ class RecorderWorker:
         except RoboNeuronError as error:
             answer |= {"error": error.message, "hint": error.hint}
         self._tell(answer)
+
+    def _check(self, order: Mapping[str, Any]) -> None:
+        """Refuse an order whose caller has given up, or for another recording. Raises
+        StateError.
+        """
+        if time.monotonic() > float(order.get("until_s", math.inf)):
+            raise StateError("The order came too late; nothing was done.", hint="Call again.")
+        run = order.get("run", "")
+        if run and run != self.recording.active_id:
+            raise StateError(f"The recording {run} is not in progress.")
 
     def _missed(self) -> int:
         """Number of messages that came too fast for this process, since its start."""

@@ -6,6 +6,8 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from rn_recorder_runs.episodes import RecordedEpisode, read_episodes, stamp_of
 from rn_recorder_runs.files import DAMAGE, read_records
 from rn_recorder_runs.images import pixels_of
@@ -20,6 +22,7 @@ Kind = tuple[str, tuple[str, ...], tuple[tuple[str, tuple[int, ...]], ...], tupl
 """Label of the actions' control space; joint names; size of images (H, W) by camera; values of
 joints and pose in a row.
 """
+_LARGEST = float(np.finfo(np.float32).max)
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,12 +121,34 @@ def _kind(source: ExportSource, episode: RecordedEpisode, sizes: Sizes) -> Kind 
             f"what a person did is not recorded as {labels[0]} in {untold} of its "
             f"{len(episode.rows)} rows"
         )
+    endless = _not_finite(episode)
+    if endless:
+        return endless
     return (
         labels[0],
         source.joint_names,
         tuple(sorted(shapes.items())),
         (joints.pop(), poses.pop()),
     )
+
+
+def _not_finite(episode: RecordedEpisode) -> str:
+    """Reason why the episode cannot be written if a number of it is not finite as float32, as a
+    node of others may send one; "" otherwise.
+    """
+    for row in episode.rows:
+        numbers = {
+            "action": row.action,
+            "action of the policy": row.policy_action,
+            "joint state": row.joints,
+            "TCP pose": row.ee_pose,
+        }
+        for what, values in numbers.items():
+            # compared instead of converted, because NumPy warns of an overflow
+            if not (np.abs(values) <= _LARGEST).all():
+                at_s = (row.sent_ns - episode.rows[0].sent_ns) / 1e9
+                return f"its {what} at {at_s:.2f} s is not finite or too large for float32"
+    return ""
 
 
 def _differences(kind: Kind, wanted: Kind) -> str:

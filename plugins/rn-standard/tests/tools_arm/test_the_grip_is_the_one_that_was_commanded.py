@@ -4,12 +4,16 @@ is told.
 
 from __future__ import annotations
 
+import math
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from rn_standard.inference import inputs
+from rn_standard.tasks import live
+from rn_standard.tools_arm import grip_reports
 from rn_standard.tools_arm.grip import Grip, is_lost
 from roboneuron.contract import GripperProfile, JointSample, RobotProfile
 from roboneuron.errors import NotReadyError
@@ -59,6 +63,18 @@ def test_as_measured_is_kept_when_nothing_was_commanded_and_nothing_without_a_gr
     )
     with pytest.raises(NotReadyError, match="not measured"):
         grip(Hand()).kept()
+
+
+@pytest.mark.parametrize("position", [math.nan, math.inf, -math.inf])
+def test_a_position_that_is_not_finite_is_no_opening(position: float) -> None:
+    with pytest.raises(NotReadyError, match=f"measured as {position}"):
+        grip(Hand(position)).kept()
+    assert grip(Hand(position, commanded=0.0)).holding() is None
+    joints = JointSample(names=("finger",), position=np.array([position]))
+    assert inputs._opening(joints, PROFILE.gripper) is None
+    assert live._opening(PROFILE.gripper, {"finger": position}) is None
+    assert PROFILE.gripper is not None
+    assert grip_reports._opening(PROFILE.gripper, joints) is None
 
 
 @pytest.mark.parametrize(

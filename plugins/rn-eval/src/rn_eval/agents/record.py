@@ -70,6 +70,17 @@ class AgentPlan(BaseModel):
         growing = {"subjects", "commands", "tasks", "seeds", "versions", "later_versions"}
         return self.model_dump(mode="json", exclude=growing)
 
+    @property
+    def parts(self) -> dict[str, str]:
+        """Command line of each agent by its name; "" for an installed one."""
+        return {**dict.fromkeys(self.subjects, ""), **self.commands}
+
+    def continued_by(self, now: AgentPlan) -> AgentPlan:
+        """Return the plan `now` with the commands of earlier agents, because their episodes stay
+        in the ledger.
+        """
+        return now.model_copy(update={"commands": {**self.commands, **now.commands}})
+
     def episodes(self) -> list[AgentKey]:
         """Every episode, grouped by task."""
         return [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -298,10 +299,12 @@ class NewestInputs:
 
 
 def _opening(joints: JointSample | None, gripper: GripperProfile | None) -> float | None:
-    """Measured opening of a gripper, 0 closed .. 1 open; None if not measured."""
+    """Measured opening of a gripper, 0 closed .. 1 open; None if not measured, or not finite."""
     if joints is None or gripper is None or gripper.joint not in joints.names:
         return None
-    return gripper.to_opening(float(joints.position[joints.names.index(gripper.joint)]))
+    position = float(joints.position[joints.names.index(gripper.joint)])
+    # `to_opening` would make 0 or 1 of it
+    return gripper.to_opening(position) if math.isfinite(position) else None
 
 
 def frame_from_message(

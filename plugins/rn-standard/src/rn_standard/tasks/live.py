@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 import threading
 import time
 from collections.abc import Callable, Iterable, Mapping
@@ -299,10 +300,12 @@ class LiveCell:
 
 
 def _opening(gripper: GripperProfile | None, joints: Mapping[str, float] | None) -> float | None:
-    """Measured opening of a gripper; None if not measured."""
+    """Measured opening of a gripper; None if not measured, or not finite."""
     if gripper is None or joints is None or gripper.joint not in joints:
         return None
-    return gripper.to_opening(joints[gripper.joint])
+    position = joints[gripper.joint]
+    # `to_opening` would make 0 or 1 of it
+    return gripper.to_opening(position) if math.isfinite(position) else None
 
 
 def _jpeg(frame: Frame) -> Picture:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Callable
@@ -159,6 +160,9 @@ class JointTopic:
             return
         gripper, opening = self._gripper, None
         if gripper is not None and gripper.joint in found:
-            opening = min(1.0, max(0.0, gripper.to_opening(found[gripper.joint])))
+            opening = found[gripper.joint]
+            # the lead refuses others, which `to_opening` would make 0 or 1
+            if math.isfinite(opening):
+                opening = gripper.to_opening(opening)
         positions = {name: found[name] for name in sorted(self._arm)}
         self._newest.put(is_held=self._is_held, positions=positions, gripper_open=opening)

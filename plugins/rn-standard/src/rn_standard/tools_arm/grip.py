@@ -4,6 +4,7 @@ object.
 
 from __future__ import annotations
 
+import math
 import time
 
 from rn_standard.tools_arm.grip_reports import commanded_opening
@@ -74,7 +75,12 @@ class Grip:
             raise NotReadyError(
                 "The gripper was not measured.", hint="Is the robot running? See get_status."
             )
-        return gripper.to_opening(float(joints.position[joints.names.index(gripper.joint)]))
+        position = float(joints.position[joints.names.index(gripper.joint)])
+        if not math.isfinite(position):  # `to_opening` would make 0 or 1 of it
+            raise NotReadyError(
+                f"The gripper's position is measured as {position}.", hint="See get_status."
+            )
+        return gripper.to_opening(position)
 
     def holding(self) -> bool | None:
         """True if the hand holds an object; None if unknown.

@@ -103,10 +103,14 @@ class GripReports:
 
 
 def _opening(gripper: GripperProfile, joints: JointCommand | JointSample) -> float | None:
-    """Opening from the position of the gripper's joint; None if that joint is missing."""
+    """Opening from the position of the gripper's joint; None if that joint is missing or not
+    finite.
+    """
     if gripper.joint not in joints.names:
         return None
-    return gripper.to_opening(float(joints.position[joints.names.index(gripper.joint)]))
+    position = float(joints.position[joints.names.index(gripper.joint)])
+    # `to_opening` would make 0 or 1 of it
+    return gripper.to_opening(position) if math.isfinite(position) else None
 
 
 def _metric(name: str, arm: str) -> str:

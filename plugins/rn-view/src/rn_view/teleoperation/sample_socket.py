@@ -9,6 +9,7 @@ import math
 import secrets
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from typing import Any
@@ -29,6 +30,10 @@ Fetch = Callable[[str], "Future[Mapping[str, object]]"]
 """Calls a tool that only reads, without arguments; the future gives its result, empty on
 failure.
 """
+OFFSET_S = 60.0
+"""Time for which a message counts for the offset between the clocks. Those of two computers drift
+apart by up to about 100 ppm, 6 ms in this time.
+"""
 _ECHO_S = 0.04
 _MOST_HZ = 6 * RATE_HZ
 """Maximum number of messages a second; a page of this package sends fewer."""
@@ -38,6 +43,35 @@ _REFUSED, _FLOODED = 4401, 1008
 _AGAIN = "Open the page and start to lead again."
 
 
+class ClockOffset:
+    """Offset from a page's clock to ours: that of the message with the least delay within
+    `OFFSET_S`.
+
+    An offset for ever makes samples seem old once the clocks have drifted apart. The window is much
+    longer than a lead without samples, so that a page that becomes slow is not taken for drift.
+    """
+
+    def __init__(self) -> None:
+        # arrival times and offsets; both increase, because a smaller offset replaces earlier ones
+        self._least: deque[tuple[float, float]] = deque()
+
+    def after(self, sent_s: float, now_s: float) -> float:
+        """Offset after a message [s].
+
+        Args:
+            sent_s: time of sending on the page's clock; NaN changes nothing.
+            now_s: monotonic time of its arrival.
+        """
+        offset_s = now_s - sent_s
+        if math.isfinite(offset_s):
+            while self._least and self._least[-1][1] >= offset_s:
+                self._least.pop()
+            self._least.append((now_s, offset_s))
+        while self._least and self._least[0][0] < now_s - OFFSET_S:
+            self._least.popleft()
+        return self._least[0][1] if self._least else offset_s
+
+
 class PageTeleoperator:
     """Newest sample of a page; implements `Teleoperator` and `ToldTeleoperator`."""
 
@@ -45,15 +79,18 @@ class PageTeleoperator:
         self._news = threading.Condition()
         self._sample: LeadSample | None = None
         self._error: RoboNeuronError | None = None
-        self._offset_s = math.inf
+        self._offset = ClockOffset()
         self.on_news: Callable[[dict[str, object]], object] = lambda news: None
 
     def open(self, subscribe: Subscribe) -> None:
-        """Discard old samples. Raises NotReadyError if the page is not connected."""
+        """Discard old samples, and what is known of the page's clock. Raises NotReadyError if the
+        page is not connected.
+        """
         with self._news:
             if isinstance(self._error, NotReadyError):
                 raise self._error
             self._sample = self._error = None
+            self._offset = ClockOffset()
 
     def read(self, timeout_s: float) -> LeadSample | None:
         """See `Teleoperator`."""
@@ -78,7 +115,7 @@ class PageTeleoperator:
     def connected(self) -> None:
         """Called when the page's websocket opens."""
         with self._news:
-            self._error, self._offset_s = None, math.inf
+            self._error, self._offset = None, ClockOffset()
 
     def lost(self, why: str) -> None:
         """Called when the page has disconnected."""
@@ -93,30 +130,24 @@ class PageTeleoperator:
             told: the decoded JSON.
             now_s: monotonic time of its arrival.
         """
-        try:
-            sample = self._sample_of(told, now_s)
-        except (KeyError, TypeError, ValueError) as error:
-            text = f"The page has sent an invalid sample ({type(error).__name__})"
-            with self._news:
-                self._error = InvalidInputError(f"{text}; the arm rests.", hint="Reload the page.")
-                self._news.notify_all()
-            return
         with self._news:
-            self._sample = sample
+            try:
+                self._sample = self._sample_of(told, now_s)
+            except (KeyError, TypeError, ValueError) as error:
+                text = f"The page has sent an invalid sample ({type(error).__name__})"
+                self._error = InvalidInputError(f"{text}; the arm rests.", hint="Reload the page.")
             self._news.notify_all()
 
     def _sample_of(self, told: dict[str, Any], now_s: float) -> LeadSample:
-        """Convert a message, with its time on our monotonic clock. The offset between the clocks is
-        that of the message with the least delay so far.
-        """
+        """Convert a message, with its time on our monotonic clock."""
         sent_s = _number(told["t"])
-        self._offset_s = min(self._offset_s, now_s - sent_s)
+        offset_s = self._offset.after(sent_s, now_s)
         joint, grip = told.get("joint"), told.get("grip")
         velocities = {} if joint is None else {str(joint[0]): _number(joint[1])}
         twist = None if joint is not None else np.array([_number(v) for v in told["twist"]])
         return LeadSample(
             number=int(told["n"]),
-            at_s=sent_s + self._offset_s,
+            at_s=sent_s + offset_s,
             is_held=told["held"] is True,
             twist=twist,
             frame="tool" if told.get("tool") is True else "base",
