@@ -35,6 +35,11 @@ def test_a_measured_opening_is_always_between_closed_and_open(gripper, position)
     assert 0.0 <= gripper.to_opening(position) <= 1.0
 
 
+@given(GRIPPERS)
+def test_a_position_that_is_no_number_is_no_closed_gripper(gripper):
+    assert np.isnan(gripper.to_opening(float("nan")))
+
+
 def test_cameras_are_found_by_name():
     profile = gantry_profile()
     assert profile.camera("hand").role == "wrist"

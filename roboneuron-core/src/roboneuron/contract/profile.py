@@ -81,9 +81,10 @@ class GripperProfile:
         return self.closed_position + gripper_open * (self.open_position - self.closed_position)
 
     def to_opening(self, position: float) -> float:
-        """Joint position [m or rad] -> opening, clipped to 0..1."""
+        """Joint position [m or rad] -> opening, clipped to 0..1; NaN stays NaN."""
         span = self.open_position - self.closed_position
-        return min(1.0, max(0.0, (position - self.closed_position) / span))
+        # in this order: `max(0.0, nan)` would be 0, a closed gripper
+        return min(max((position - self.closed_position) / span, 0.0), 1.0)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
