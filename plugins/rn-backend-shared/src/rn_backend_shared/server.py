@@ -314,7 +314,7 @@ class _RobotConnection:
             try:
                 held = self._hold(answer, header.number)
                 self._send(answer_header, wire.from_answer(answer, held))
-            except (TypeError, ValueError) as error:
+            except (TypeError, ValueError, OverflowError) as error:
                 refusal = PluginError(f"The answer of the shared model cannot be sent: {error}.")
                 self._send(answer_header, wire.from_answer(refusal))
 
