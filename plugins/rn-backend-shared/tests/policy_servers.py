@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import atexit
+import errno
 import json
 import os
 import shutil
@@ -12,6 +13,7 @@ import ssl
 import subprocess
 import sys
 import tempfile
+import threading
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
@@ -20,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from link_machines import Machine
 
 from rn_backend_shared.backend import SharedBackend
@@ -37,6 +40,14 @@ from rn_testing.waiting import wait_until
 from roboneuron import NotReadyError, Observation
 
 SEEN = make_observation(BACKEND)
+PASSING = (
+    errno.ECONNABORTED,
+    errno.EPROTO,
+    errno.EPERM,
+    errno.EHOSTUNREACH,
+    errno.ENETDOWN,
+)
+"""Errors after which accept(2) is to be called again."""
 WORDS = (sys.executable, "-m", "roboneuron.cli.main", "serve-policy")
 
 
@@ -217,6 +228,33 @@ def servers_in(folder: Path) -> list[int]:
         ):
             found.append(int(entry.parent.name))
     return found
+
+
+def fail_accepts(monkeypatch: pytest.MonkeyPatch, *numbers: int) -> None:
+    """Let the next accepts of each listener of this process fail with these errors."""
+    accept = socket.socket.accept
+    left: dict[int, list[int]] = {}
+
+    def failing(listener: socket.socket) -> tuple[socket.socket, Any]:
+        errors = left.setdefault(listener.fileno(), list(numbers))
+        if errors:
+            raise OSError(errors.pop(0), "the connection was lost")
+        return accept(listener)
+
+    monkeypatch.setattr(socket.socket, "accept", failing)
+
+
+def fail_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the next thread of a robot not be started."""
+    start = threading.Thread.start
+    errors = [RuntimeError("can't start new thread")]
+
+    def failing(thread: threading.Thread) -> None:
+        if thread.name == "robot" and errors:
+            raise errors.pop()
+        start(thread)
+
+    monkeypatch.setattr(threading.Thread, "start", failing)
 
 
 def said_to(port: int, sent: bytes, context: ssl.SSLContext | None = None) -> bytes:

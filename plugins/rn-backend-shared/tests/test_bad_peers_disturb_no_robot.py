@@ -11,26 +11,33 @@ import time
 from collections.abc import Iterator
 from contextlib import ExitStack, suppress
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from policy_servers import (
+    PASSING,
     Robot,
     Serve,
     answers,
+    fail_accepts,
+    fail_one_thread,
     link_of,
     pair,
     said_to,
 )
 
 from rn_backend_shared import front as front_module
+from rn_backend_shared import processes as processes_module
 from rn_backend_shared.channel import FrameChannel
-from rn_backend_shared.frames import HEADER_BYTES, VERSION, FrameKind, Header
+from rn_backend_shared.frames import HEADER_BYTES, VERSION, Document, FrameKind, Header
 from rn_backend_shared.front import PolicyServer
 from rn_backend_shared.options import PolicyServerOptions
-from rn_backend_shared.processes import ModelProcess
+from rn_backend_shared.processes import ModelProcess, ask_status
+from rn_backend_shared.session import FAILED, Welcome
 from rn_link.machine import read_machine
 from rn_link.tls import tls_context
 from rn_testing.waiting import wait_until
+from roboneuron import NotReadyError
 
 pytestmark = pytest.mark.timeout(200)
 
@@ -201,3 +208,61 @@ def test_a_robot_is_told_when_there_is_no_model(front: PolicyServer, tmp_path: P
     assert told.document()["error"] == "not_ready"
     channel.close()
     assert front.status()["models"]["only"]["lost"] == 1
+
+
+def greeted(front: PolicyServer, folder: Path) -> bool:
+    """True if the server welcomes a robot."""
+    channel = FrameChannel(socket.create_connection(("127.0.0.1", front.port), 20.0))
+    token = (folder / "token").read_text().strip()
+    try:
+        channel.send(Header(FrameKind.HELLO), {"token": token}, 10.0)
+        told = channel.receive(time.monotonic() + 10.0)
+    finally:
+        channel.close()
+    return bool(told.document()["state"] == "loading")
+
+
+def test_robots_come_in_after_connections_that_were_lost(
+    front: PolicyServer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fail_accepts(monkeypatch, *PASSING)
+    for _ in range(2):  # the first one is taken by the accept that had begun before
+        assert greeted(front, tmp_path)
+        assert ask_status(front.path)["models"].keys() == {"only"}
+
+
+def test_robots_come_in_after_a_thread_that_could_not_start(
+    front: PolicyServer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fail_one_thread(monkeypatch)
+    with socket.create_connection(("127.0.0.1", front.port), 20.0) as refused:
+        assert refused.recv(1) == b""
+    assert greeted(front, tmp_path)
+    assert front.status()["refused_connections"] == 1
+
+
+def test_the_status_is_told_after_one_that_could_not_be(
+    front: PolicyServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    status, errors = front.status, [KeyError("clients")]
+
+    def failing() -> Document:
+        if errors:
+            raise errors.pop()
+        return status()
+
+    monkeypatch.setattr(front, "status", failing)
+    with pytest.raises(NotReadyError):
+        ask_status(front.path)
+    assert ask_status(front.path)["models"].keys() == {"only"}
+
+
+def test_a_failure_that_cannot_be_read_ends_no_supervision(
+    front: PolicyServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    process = front.models["only"].processes[0]
+    ends = socket.socketpair()
+    told = Welcome(state=FAILED, pid=1, failure={})
+    monkeypatch.setattr(processes_module, "_connect", lambda path: (FrameChannel(ends[0]), told))
+    with ends[1]:
+        assert not process._look(SimpleNamespace(pid=1))  # type: ignore[arg-type]

@@ -12,9 +12,12 @@ from pathlib import Path
 
 import pytest
 from policy_servers import (
+    PASSING,
     SEEN,
     Robot,
     answers,
+    fail_accepts,
+    fail_one_thread,
 )
 
 from rn_backend_shared import server as server_module
@@ -116,3 +119,27 @@ def test_a_server_without_handles_serves_again_when_it_has_some(
     assert served().predict(SEEN).actions.size
     assert caplog.text.count("cannot connect") < 5
     assert "Traceback" not in caplog.text
+
+
+def test_robots_come_in_after_connections_that_were_lost(
+    served: Robot, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    served()
+    fail_accepts(monkeypatch, *PASSING)
+    for _ in range(2):  # the first one is taken by the accept that had begun before
+        assert answers(served())
+    assert caplog.text.count("A robot cannot connect: the connection was lost.") == len(PASSING)
+
+
+def test_robots_come_in_after_a_thread_that_could_not_start(
+    served: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    served()
+    (path,) = (tmp_path / "run").glob("*.sock")
+    fail_one_thread(monkeypatch)
+    with socket.socket(socket.AF_UNIX) as refused:
+        refused.settimeout(20.0)
+        refused.connect(str(path))
+        assert refused.recv(1) == b""
+    assert answers(served())
+    assert "A robot cannot connect: can't start new thread." in caplog.text

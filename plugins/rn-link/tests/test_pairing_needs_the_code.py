@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import socket
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from rn_link.machine import Peer, read_machine
+from rn_link_pairing import pairing
 from rn_link_pairing.keeping import become_hub
 from rn_link_pairing.pairing import ATTEMPTS, PairingHub, join, new_code, open_listener
 from rn_link_pairing.pake import PARTIES, Exchange, PairingError, generator
@@ -41,7 +45,7 @@ def in_background(function: Callable[[], Peer]) -> Future[Peer]:
     def run() -> None:
         try:
             future.set_result(function())
-        except ConfigurationError as error:
+        except (ConfigurationError, OSError) as error:
             future.set_exception(error)
 
     threading.Thread(target=run, daemon=True).start()
@@ -166,6 +170,40 @@ def test_other_traffic_uses_no_attempt(
     join(tmp_path / "member", "127.0.0.1", listener.getsockname()[1], CODE, PORT)
     assert admitted.result(10.0).port == PORT
     assert len(complaints) == 2 * ATTEMPTS
+
+
+class Failing(socket.socket):
+    """A listener whose first connections are lost before they are accepted."""
+
+    def __init__(self, fileno: int) -> None:
+        super().__init__(fileno=fileno)
+        self.errors = [errno.ECONNABORTED, errno.EPROTO]
+
+    def accept(self) -> tuple[socket.socket, Any]:
+        if self.errors:
+            raise OSError(self.errors.pop(), "lost")
+        return super().accept()
+
+
+def test_a_connection_that_is_lost_before_it_is_accepted_uses_no_attempt(
+    hub: Path, listener: socket.socket, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pairing, "_PAUSE_S", 0.0, raising=False)
+    complaints: list[str] = []
+    with Failing(os.dup(listener.fileno())) as failing:
+        admitted = admitting(hub, failing, complaints)
+        join(tmp_path / "member", "127.0.0.1", listener.getsockname()[1], CODE, PORT)
+        assert admitted.result(10.0).port == PORT
+    assert [complaint.partition(":")[0] for complaint in complaints] == [
+        "A machine cannot connect"
+    ] * 2
+
+
+def test_a_closed_listener_ends_the_pairing(hub: Path, listener: socket.socket) -> None:
+    listener.close()
+    admission = PairingHub(hub, "gpu", address=None, days=90, notify=lambda _: None)
+    with pytest.raises(OSError, match="Bad file descriptor"):
+        admission.serve(listener, CODE)
 
 
 def test_nobody_in_time_is_told_with_what_to_type(hub: Path, listener: socket.socket) -> None:

@@ -182,7 +182,7 @@ class Batcher:
             self._waiting.append(replace(waiting, since_s=self._clock()))
             self._changed.notify()
         if given_up is not None:
-            given_up.tell(_full(self._most_waiting))
+            _tell(given_up, _full(self._most_waiting))
 
     def _given_up(self, newest: Waiting) -> Waiting | None:
         """The observation to be dropped from a full queue for a new one; None while the queue is
@@ -227,7 +227,7 @@ class Batcher:
         if self._thread.is_alive() and self._thread is not threading.current_thread():
             self._thread.join()
         for waiting in self._waiting:
-            waiting.tell(NotReadyError("The shared model is being stopped."))
+            _tell(waiting, NotReadyError("The shared model is being stopped."))
         self._waiting = []
 
     def expected_s(self, count: int) -> float:
@@ -271,10 +271,11 @@ class Batcher:
         """Answer one batch, and refuse observations whose deadline has passed."""
         batch, late = self.take()
         for waiting in late:
-            waiting.tell(
+            _tell(
+                waiting,
                 NotReadyError(
                     "The shared model had no time before the deadline; too many robots wait."
-                )
+                ),
             )
         if not batch:
             return
@@ -285,7 +286,7 @@ class Batcher:
         self._expected_s[len(batch)] = before_s + _NEW * (took_s - before_s)
         for waiting, answer in zip(batch, answers, strict=True):
             queued_s = began_s - waiting.since_s
-            waiting.tell(_with_metrics(answer, len(batch), took_s, queued_s))
+            _tell(waiting, _with_metrics(answer, len(batch), took_s, queued_s))
 
     def _answers(self, observations: list[Observation]) -> Sequence[Answer]:
         try:
@@ -294,7 +295,10 @@ class Batcher:
                 raise PluginError(
                     f"{len(observations)} observations were answered by {len(answers)} chunks."
                 )
-        except Exception as error:  # the border to the model: every waiting robot gets the error
+            return [_checked(answer) for answer in answers]
+        # the border to the model: every waiting robot gets the error, and the thread goes on, also
+        # after sys.exit
+        except (Exception, SystemExit) as error:
             log.exception("A batch of %d failed.", len(observations))
             known = (
                 error
@@ -302,7 +306,6 @@ class Batcher:
                 else PluginError(f"The shared model failed: {error!r}.")
             )
             return [known] * len(observations)
-        return answers
 
     def _forget_above(self, count: int) -> None:
         shrunk = {
@@ -330,6 +333,26 @@ def _full(count: int) -> NotReadyError:
         f"The shared model has {count} observations waiting; no more are accepted.",
         hint="Fewer robots, a faster model, or more replicas.",
     )
+
+
+def _checked(answer: object) -> Answer:
+    """The answer; an error instead of one of another type."""
+    if isinstance(answer, ActionChunk | RoboNeuronError):
+        return answer
+    error = PluginError(
+        f"The shared model returned {type(answer).__name__} for an observation, expected an "
+        "ActionChunk."
+    )
+    log.error("%s", error)
+    return error
+
+
+def _tell(waiting: Waiting, answer: Answer) -> None:
+    """Pass on the answer; an error of one connection affects no other."""
+    try:
+        waiting.tell(answer)
+    except Exception:  # the border to a connection
+        log.exception("An answer could not be passed on.")
 
 
 def _with_metrics(answer: Answer, count: int, took_s: float, queued_s: float = 0.0) -> Answer:

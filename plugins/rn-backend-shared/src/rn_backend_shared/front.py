@@ -4,7 +4,6 @@ process of the model that they name.
 
 from __future__ import annotations
 
-import errno
 import logging
 import os
 import socket
@@ -12,14 +11,19 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 
 from rn_backend_shared.admission import AdmissionTable
 from rn_backend_shared.channel import FrameChannel, peer_user
 from rn_backend_shared.fields import text
 from rn_backend_shared.frames import Document, FrameError, FrameKind, Header
-from rn_backend_shared.listening import local_listener, network_listener, notify_manager
+from rn_backend_shared.listening import (
+    connections,
+    local_listener,
+    network_listener,
+    notify_manager,
+)
 from rn_backend_shared.options import PolicyServerOptions
 from rn_backend_shared.replicas import Replicas
 from rn_backend_shared.security import Guard, is_same_token
@@ -41,8 +45,6 @@ _LOOK_S = 0.1
 _KEYS_LOOK_S = 0.5
 _TELL_S = 10.0
 """Period of the log's summary of refused connections, so that strangers cannot fill the log [s]."""
-_NO_HANDLES = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
-_NO_HANDLES_S = 1.0
 
 
 class PolicyServer:
@@ -208,43 +210,48 @@ class PolicyServer:
                     self._table.interrupt_all()
 
     def _accept(self, listener: socket.socket) -> None:
-        while not self._end.is_set():
-            try:
-                connected, address = listener.accept()
-            except OSError as error:
-                if error.errno not in _NO_HANDLES:
-                    return
-                log.error("A robot cannot connect: %s.", error.strerror)
-                self._table.make_room(least=1)
-                self._end.wait(_NO_HANDLES_S)
-                continue
+        for connected, address in connections(listener, self._end, self._give_up_one):
             if threading.active_count() > _MOST_THREADS:
                 connected.close()
-                self._table.make_room(least=1)
+                self._give_up_one()
                 continue
             self._table.make_room(least=_MOST_UNKNOWN)
             patience = Patience(admit_s=_ADMIT_S, frame_s=_FRAME_S)
             try:
-                visitor = Visitor(self, self._guard, connected, str(address[0]), patience)
+                visitor = Visitor(self, self._guard, connected, address, patience)
             except OSError as error:
                 connected.close()
-                self._table.note_refusal(str(address[0]), str(error))
+                self._table.note_refusal(address, str(error))
                 continue
             self._table.add(visitor)
-            threading.Thread(target=visitor.serve, name="robot", daemon=True).start()
+            try:
+                threading.Thread(target=visitor.serve, name="robot", daemon=True).start()
+            except RuntimeError as error:  # the system starts no more threads
+                visitor.close(str(error))
+                self._give_up_one()
+
+    def _give_up_one(self) -> None:
+        """End an unidentified connection, if there is one."""
+        self._table.make_room(least=1)
 
     def _tell(self, listener: socket.socket) -> None:
         """Answer status requests, one after the other."""
-        while not self._end.is_set():
-            try:
-                connected, _ = listener.accept()
-            except OSError:
-                return
+        for connected, _ in connections(listener, self._end, self._give_up_one):
             with connected:
-                if peer_user(connected) != os.getuid():
-                    continue
-                with suppress(OSError, FrameError):
-                    channel = FrameChannel(connected, HELLO_BYTES)
-                    channel.receive(time.monotonic() + 1.0)
-                    channel.send(Header(FrameKind.STATUS), self.status(), 1.0)
-                    channel.close()
+                try:
+                    self._tell_one(connected)
+                except (OSError, FrameError):
+                    pass
+                except Exception:  # the border to one client: the next one is answered
+                    log.exception("The status cannot be told.")
+
+    def _tell_one(self, connected: socket.socket) -> None:
+        """Answer a status request of this user. Raises OSError or FrameError."""
+        if peer_user(connected) != os.getuid():
+            return
+        channel = FrameChannel(connected, HELLO_BYTES)
+        try:
+            channel.receive(time.monotonic() + 1.0)
+            channel.send(Header(FrameKind.STATUS), self.status(), 1.0)
+        finally:
+            channel.close()

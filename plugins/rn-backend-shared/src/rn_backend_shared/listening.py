@@ -1,17 +1,28 @@
-"""Sockets of a policy server: the network address for robots, and the local socket for its
-status.
+"""Listening sockets of servers: the network address of a policy server, the local socket for its
+status, and the connections that they accept.
 """
 
 from __future__ import annotations
 
+import errno
+import logging
 import os
 import socket
+import threading
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
 
 from roboneuron import ConfigurationError
 
+log = logging.getLogger(__name__)
 _BACKLOG = 1024
+_CLOSED = (errno.EBADF, errno.EINVAL)
+"""Errors of a listener that was closed."""
+_NO_HANDLES = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
+_NO_HANDLES_S = 1.0
+_PAUSE_S = 0.1
+"""Pause after any other error, so that a lasting one does not keep a core busy [s]."""
 
 
 def network_listener(host: str, port: int) -> socket.socket:
@@ -45,6 +56,48 @@ def local_listener(path: Path) -> socket.socket:
         listener.close()
         raise
     return listener
+
+
+def connections(
+    listener: socket.socket, ended: threading.Event, make_room: Callable[[], object]
+) -> Iterator[tuple[socket.socket, str]]:
+    """Accept connections until the server ends, or the listener is closed.
+
+    Every other error concerns one connection, or passes: it is logged, once while it lasts, and the
+    next connection is accepted. Source: accept(2), "Error handling".
+
+    Args:
+        listener: listening socket.
+        ended: set when the server ends.
+        make_room: closes a connection; called when there is no handle for a new one.
+
+    Yields:
+        The connection, and the address of the peer; empty for a local socket.
+    """
+    logged = ""
+    while not ended.is_set():
+        try:
+            connected, address = listener.accept()
+        except OSError as error:
+            if error.errno in _CLOSED:
+                return
+            if str(error) != logged:
+                logged = str(error)
+                log.error("A robot cannot connect: %s.", error.strerror or error)
+            outlast(error, ended, make_room)
+            continue
+        logged = ""
+        yield connected, str(address[0]) if isinstance(address, tuple) else ""
+
+
+def outlast(error: OSError, ended: threading.Event, make_room: Callable[[], object]) -> None:
+    """Pause after an error of a new connection; see `connections`."""
+    if error.errno not in _NO_HANDLES:
+        ended.wait(_PAUSE_S)
+        return
+    make_room()
+    # the queue stays full until something is closed
+    ended.wait(_NO_HANDLES_S)
 
 
 def notify_manager() -> None:

@@ -223,6 +223,7 @@ class ModelProcess:
         try:
             channel, welcome = _connect(self.path)
             channel.close()
+            failure = _failure(welcome)
         except (OSError, FrameError):
             return False
         if welcome.pid != process.pid:  # an old process; the new one ends at once
@@ -230,7 +231,7 @@ class ModelProcess:
         if welcome.state != self._state:
             log.info("The model %s is %s.", self.name, welcome.state)
         self._state = welcome.state
-        self._failure = _failure(welcome)
+        self._failure = failure
         return True
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import fcntl
 import logging
 import os
@@ -22,6 +21,7 @@ from rn_backend_shared.fields import field, text
 from rn_backend_shared.frames import Document, FrameError, FrameKind, Header, VersionError
 from rn_backend_shared.images import CROPPED, crop
 from rn_backend_shared.introduction import CLIENT, ROBOT, to_profile
+from rn_backend_shared.listening import connections, outlast
 from rn_backend_shared.model import SharedModel
 from rn_backend_shared.options import SharedOptions
 from rn_backend_shared.session import FAILED, LOADING, READY
@@ -49,8 +49,6 @@ _MOST_ROBOTS = 128
 """Limit of connections; each has a thread and two handles."""
 _FIRST_S = 5.0
 """Time limit for a new connection's first request."""
-_NO_HANDLES = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
-_NO_HANDLES_S = 1.0
 
 
 class SharedModelServer:
@@ -223,26 +221,29 @@ class SharedModelServer:
         """Accept connections until the end; if there are too many, one without requests is
         closed.
         """
-        while not self._end.is_set():
+        for connected, _ in connections(listener, self._end, self._drop_silent):
             try:
-                connected, _ = listener.accept()
-                channel = _channel_of(connected)
-            except OSError as error:
-                if error.errno not in _NO_HANDLES:
-                    return
-                log.error("A robot cannot connect: %s. Too many files are open.", error.strerror)
-                self._drop_silent()
-                # the queue stays full until something is closed
-                self._end.wait(_NO_HANDLES_S)
+                user, process = peer_user(connected), peer_process(connected)
+                channel = FrameChannel(connected)
+            except OSError as error:  # there may be no second handle
+                connected.close()
+                log.error("A robot cannot connect: %s.", error.strerror or error)
+                outlast(error, self._end, self._drop_silent)
                 continue
-            if peer_user(connected) != os.getuid() or (
+            if user != os.getuid() or (
                 len(self._robots) >= _MOST_ROBOTS and not self._drop_silent()
             ):
                 channel.close()
                 continue
-            robot = _RobotConnection(channel, self, f"process {peer_process(connected)}")
+            robot = _RobotConnection(channel, self, f"process {process}")
             self._robots[robot] = None
-            threading.Thread(target=robot.serve, name="robot", daemon=True).start()
+            try:
+                threading.Thread(target=robot.serve, name="robot", daemon=True).start()
+            except RuntimeError as error:  # the system starts no more threads
+                log.error("A robot cannot connect: %s.", error)
+                self.leave(robot)
+                robot.close()
+                self._drop_silent()
 
     def _drop_silent(self) -> bool:
         """Close the oldest connection without requests; returns True if there was one."""
@@ -314,7 +315,7 @@ class _RobotConnection:
             try:
                 held = self._hold(answer, header.number)
                 self._send(answer_header, wire.from_answer(answer, held))
-            except (TypeError, ValueError) as error:
+            except (TypeError, ValueError, OverflowError) as error:
                 refusal = PluginError(f"The answer of the shared model cannot be sent: {error}.")
                 self._send(answer_header, wire.from_answer(refusal))
 
@@ -362,14 +363,3 @@ class _RobotConnection:
     def close(self) -> None:
         """Disconnect."""
         self._channel.close()
-
-
-def _channel_of(connected: socket.socket) -> FrameChannel:
-    """Create a channel. If no second handle is available, closes the connection and raises
-    OSError.
-    """
-    try:
-        return FrameChannel(connected)
-    except OSError:
-        connected.close()
-        raise

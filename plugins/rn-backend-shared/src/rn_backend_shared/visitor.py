@@ -137,11 +137,15 @@ class Visitor:
         except (OSError, FrameError) as error:
             why = str(error)
         finally:
-            self._server.leave(self, why)
-            self._leave_seat()
-            if self._channel is not None:
-                self._channel.close()
-            self._connected.close()
+            self.close(why)
+
+    def close(self, why: str) -> None:
+        """Disconnect and leave the server; called by `serve`, or instead of it."""
+        self._server.leave(self, why)
+        self._leave_seat()
+        if self._channel is not None:
+            self._channel.close()
+        self._connected.close()
 
     def _refuse_version(self, error: VersionError) -> None:
         """Report the version only to a peer with a valid key."""

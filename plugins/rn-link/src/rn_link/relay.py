@@ -67,12 +67,11 @@ class Relay:
             if found.get(name) != stamps:
                 await self._leave(name)
         for name in found.keys() - self._known.keys():
-            context = tls_context(machine, self._folder, name)
             self._known[name] = found[name]
             self._tasks[name] = asyncio.create_task(
-                self._connect(name, machine, context)
+                self._connect(name, machine)
                 if machine.role == "hub"
-                else self._listen(name, machine, context)
+                else self._listen(name, machine)
             )
 
     async def _leave(self, name: str) -> None:
@@ -90,8 +89,29 @@ class Relay:
             if machine in (None, name):
                 stream.send(place, message)
 
-    async def _connect(self, name: str, machine: Machine, context: ssl.SSLContext) -> None:
+    async def _context(self, name: str, machine: Machine) -> ssl.SSLContext:
+        """The TLS context for a machine, once its files can be used; the other machines stay
+        connected meanwhile.
+        """
+        hint = (
+            f"Check own.pem, own.key and peers/{name}.issuer.pem in {self._folder}, or pair {name} "
+            "again with `roboneuron link`."
+        )
+        logged = ""
+        while True:
+            try:
+                return tls_context(machine, self._folder, name)
+            except OSError as error:  # includes TLS errors
+                told = f"its keys cannot be used: {error}"
+            self._state.unconnected(name, told, hint)
+            if told != logged:
+                logged = told
+                log.warning("No link to %s: %s", name, told)
+            await asyncio.sleep(_PAUSE_S)
+
+    async def _connect(self, name: str, machine: Machine) -> None:
         """Connect to a member, with endless retries."""
+        context = await self._context(name, machine)
         logged = ""
         peer = machine.peers[name]
         while True:
@@ -109,8 +129,9 @@ class Relay:
                 await self._carry(name, machine, *connection)
             await asyncio.sleep(_PAUSE_S)
 
-    async def _listen(self, name: str, machine: Machine, context: ssl.SSLContext) -> None:
+    async def _listen(self, name: str, machine: Machine) -> None:
         """Listen for the hub."""
+        context = await self._context(name, machine)
         task = asyncio.current_task()
         self._state.unconnected(name, "it has not connected yet", waiting_hint(machine, name))
 
@@ -147,11 +168,12 @@ class Relay:
         reader: asyncio.StreamReader,
         writer: asyncio.StreamWriter,
     ) -> None:
-        stream = LinkStream(reader, writer, partial(self._ports.deliver, name))
-        self._streams[name] = stream
-        log.warning("Linked to %s.", name)
-        self._state.connected(name)
+        stream: LinkStream | None = None
         try:
+            stream = LinkStream(reader, writer, partial(self._ports.deliver, name))
+            self._streams[name] = stream
+            log.warning("Linked to %s.", name)
+            self._state.connected(name)
             await stream.run()
         except (OSError, EOFError) as error:
             log.warning("The link to %s is lost: %s", name, error)
@@ -159,7 +181,8 @@ class Relay:
                 told = "the other side has ended it" if isinstance(error, EOFError) else str(error)
                 self._state.unconnected(name, f"lost: {told}", hint_for(machine, name, error))
         finally:
-            if self._streams.get(name) is stream:
+            writer.transport.abort()
+            if stream is not None and self._streams.get(name) is stream:
                 del self._streams[name]
 
 
@@ -173,7 +196,7 @@ def _stamps(folder: Path, machine: Machine, name: str) -> tuple[object, ...]:
 def _stamp(path: Path) -> int:
     try:
         return path.stat().st_mtime_ns
-    except FileNotFoundError:  # it is being replaced
+    except OSError:  # it is being replaced, or `tls_context` tells why it cannot be read
         return 0
 
 

@@ -39,6 +39,7 @@ class LinkStream:
 
         Raises:
             ssl.SSLError: the other side has sent no certificate.
+            OSError: the connection has ended already.
         """
         self._reader = reader
         self._writer = writer
@@ -52,7 +53,9 @@ class LinkStream:
             raise ssl.SSLError("the connection is not encrypted")
         self._valid_until = valid_until(connection)
         writer.transport.set_write_buffer_limits(high=_UNSENT_BYTES)
-        raw: socket.socket = writer.get_extra_info("socket")
+        raw: socket.socket | None = writer.get_extra_info("socket")
+        if raw is None:  # asyncio has closed it already
+            raise ConnectionError("the other side has ended it after the handshake")
         raw.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, _UNSENT_BYTES)
 
     async def run(self) -> None:

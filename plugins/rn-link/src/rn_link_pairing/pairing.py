@@ -6,6 +6,7 @@ leaves it: the hub gets a signed request.
 
 from __future__ import annotations
 
+import errno
 import json
 import secrets
 import socket
@@ -32,6 +33,10 @@ ATTEMPTS = 3
 """Number of attempts; each tries one of a million codes."""
 _ATTEMPT_S = 10.0
 _SESSION = 16
+_CLOSED = (errno.EBADF, errno.EINVAL)
+"""Errors of a listener that was closed."""
+_PAUSE_S = 0.5
+"""Pause after any other error of the listener [s]."""
 
 
 def new_code() -> str:
@@ -98,6 +103,13 @@ class PairingHub:
                     f"No machine has paired within {limit_s:g} s.",
                     hint=f"Type `roboneuron link add {self._name}` again for a new code.",
                 ) from None
+            except OSError as error:
+                if error.errno in _CLOSED or time.monotonic() > end_s:
+                    raise
+                # any other error concerns one connection, or passes: accept(2), "Error handling"
+                self._notify(f"A machine cannot connect: {error}.")
+                time.sleep(_PAUSE_S)
+                continue
             with closing(connection):
                 wire = Wire(connection, min(end_s, time.monotonic() + _ATTEMPT_S))
                 try:
