@@ -174,6 +174,23 @@ def test_a_run_is_not_resumed_with_another_checkpoint_of_the_same_name(plan, tmp
         ledger.open(now)
 
 
+def test_a_run_is_not_continued_with_other_latencies_in_a_file(plan, tmp_path):
+    latencies = tmp_path / "latencies.txt"
+    latencies.write_text("0.1\n")
+    name, quiet = f"file:{latencies}", Console(file=io.StringIO())
+
+    def run(episodes, *names):
+        made = plan(episodes=episodes, latencies=names)
+        return evaluate(made, tmp_path / "run", lambda: InProcess(made), quiet)
+
+    run(1, name)
+    run(1, "0")
+    assert len(run(2, name, "0")) == 4
+    latencies.write_text("0.2\n")
+    with pytest.raises(ConfigurationError, match="episodes of another latency 'file:"):
+        run(3, name)
+
+
 def test_a_line_holds_what_a_reader_needs(plan, tmp_path):
     made = plan(episodes=1)
     evaluate(made, tmp_path, lambda: InProcess(made), Console(file=io.StringIO()))

@@ -48,7 +48,7 @@ def evaluate(
     episodes = plan.build_suite(discover()).episodes(plan.episodes, plan.first_seed)
     jobs = list(plan.jobs(episodes))
     with Ledger(directory, other_versions=other_versions) as ledger:
-        ledger.open(plan)
+        ledger.open(plan.with_latencies())
         if ledger.cut_bytes:
             console.print(
                 f"A line that was cut short ({ledger.cut_bytes} bytes) is removed; its episode is "

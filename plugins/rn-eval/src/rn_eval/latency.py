@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 import re
 from collections.abc import Callable
@@ -96,6 +97,22 @@ def _from_file(path: Path) -> Callable[[np.random.Generator], Draw]:
             f"{path} holds no latencies, expected one number of seconds >= 0 a line."
         )
     return lambda random: lambda _: float(random.choice(values))
+
+
+def digest_of(text: str) -> str:
+    """SHA-256 of the file of a latency, because its path says nothing of its content; "" for a
+    latency without a file.
+
+    Raises:
+        ConfigurationError: it cannot be read.
+    """
+    kind, _, rest = text.partition(":")
+    if kind != "file":
+        return ""
+    try:
+        return hashlib.sha256(Path(rest).read_bytes()).hexdigest()
+    except OSError as error:
+        raise ConfigurationError(f"The latencies in {rest} cannot be read: {error}.") from error
 
 
 def median_s(text: str) -> float | None:

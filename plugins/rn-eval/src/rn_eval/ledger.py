@@ -316,16 +316,18 @@ def _check_same(old: LedgerPlan, new: LedgerPlan, directory: Path) -> None:
     if other:
         name = other[0]
         raise ConfigurationError(
-            f"{directory} holds episodes of another agent {name!r}: {_shown(known[name])}, now "
+            f"{directory} holds episodes of another {name}: {_shown(known[name])}, now "
             f"{_shown(given[name])}.",
-            hint="Give the new agent another name, choose another --out, or give the command that "
-            "the run was begun with.",
+            hint="Give the new one another name, choose another --out, or give what the run was "
+            "begun with.",
         )
 
 
-def _shown(command: str) -> str:
-    """A command line for a message; "" stands for an installed agent."""
-    return json.dumps(command)[:200] if command else "the installed one"
+def _shown(definition: str) -> str:
+    """A definition for a message, whole because the difference may be at its end; "" stands for
+    an installed part.
+    """
+    return json.dumps(definition) if definition else "the installed one"
 
 
 def _write_durably(path: Path, data: bytes) -> None:

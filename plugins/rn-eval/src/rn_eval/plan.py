@@ -13,6 +13,7 @@ from typing import Any, Literal, NamedTuple
 from pydantic import BaseModel, ConfigDict, Field
 
 from rn_eval.hooks import SuiteSpec
+from rn_eval.latency import digest_of
 from rn_eval.suite import Episode, Suite
 from rn_standard.control.planning import find_controller
 from rn_standard.inference.planning import ResolvedPolicy, find_policy
@@ -81,6 +82,7 @@ class EvalPlan(BaseModel):
             without one.
         config: the configuration with limits, control and plugin options.
         executions, latencies, presets: every combination is a variant.
+        latency_sha256: hash of the file of each latency that has one.
         episodes, first_seed: for `Suite.episodes`.
         shared_policy: predictions are made in batches of concurrent requests, so an episode does
             not repeat bit for bit.
@@ -103,6 +105,7 @@ class EvalPlan(BaseModel):
         "sequential",
     )
     latencies: tuple[str, ...] = ("0",)
+    latency_sha256: dict[str, str] = Field(default_factory=dict)
     episodes: int = Field(ge=1)
     first_seed: int = Field(default=0, ge=0)
     shared_policy: bool = False
@@ -120,6 +123,7 @@ class EvalPlan(BaseModel):
             "presets",
             "executions",
             "latencies",
+            "latency_sha256",
             "episodes",
             "versions",
             "later_versions",
@@ -129,12 +133,26 @@ class EvalPlan(BaseModel):
 
     @property
     def parts(self) -> dict[str, str]:
-        """Nothing: the names of variants say all."""
-        return {}
+        """SHA-256 of each file of latencies; all other names of variants say what they are."""
+        return {f"latency {name!r}": digest for name, digest in self.latency_sha256.items()}
 
     def continued_by(self, now: EvalPlan) -> EvalPlan:
-        """Return the plan `now`."""
-        return now
+        """Return the plan `now` with the latencies of earlier variants, because their episodes
+        stay in the ledger.
+        """
+        known = {**self.latency_sha256, **now.latency_sha256}
+        return now.model_copy(update={"latency_sha256": known})
+
+    def with_latencies(self) -> EvalPlan:
+        """Return the plan with the present content of its files of latencies.
+
+        Raises:
+            ConfigurationError: one of them cannot be read.
+        """
+        found = {name: digest_of(name) for name in self.latencies}
+        return self.model_copy(
+            update={"latency_sha256": {name: digest for name, digest in found.items() if digest}}
+        )
 
     @property
     def variants(self) -> tuple[Variant, ...]:

@@ -15,6 +15,7 @@ from rn_standard.inference import inputs
 from rn_standard.tasks import live
 from rn_standard.tools_arm import grip_reports
 from rn_standard.tools_arm.grip import Grip, is_lost
+from rn_standard.tools_arm.joints import JointMover
 from roboneuron.contract import GripperProfile, JointSample, RobotProfile
 from roboneuron.errors import NotReadyError
 from roboneuron.modules.report import Report
@@ -75,6 +76,15 @@ def test_a_position_that_is_not_finite_is_no_opening(position: float) -> None:
     assert live._opening(PROFILE.gripper, {"finger": position}) is None
     assert PROFILE.gripper is not None
     assert grip_reports._opening(PROFILE.gripper, joints) is None
+
+
+@pytest.mark.parametrize(("position", "is_grasped"), [(0.02, True), (math.inf, False)])
+def test_an_infinite_position_is_no_object_in_the_hand(position: float, is_grasped: bool) -> None:
+    """A gripper that an object keeps from closing has arrived."""
+    mover: Any = SimpleNamespace(_grip_of={"finger": grip(Hand(position))})
+    joints = JointSample(names=("finger",), position=np.array([position]))
+    left = JointMover._left(mover, {"finger": 0.0}, joints)
+    assert left == ({} if is_grasped else {"finger": 0.0})
 
 
 @pytest.mark.parametrize(

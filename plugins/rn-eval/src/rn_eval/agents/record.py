@@ -72,8 +72,9 @@ class AgentPlan(BaseModel):
 
     @property
     def parts(self) -> dict[str, str]:
-        """Command line of each agent by its name; "" for an installed one."""
-        return {**dict.fromkeys(self.subjects, ""), **self.commands}
+        """Command line of each agent; "" for an installed one."""
+        commands = {**dict.fromkeys(self.subjects, ""), **self.commands}
+        return {f"agent {name!r}": command for name, command in commands.items()}
 
     def continued_by(self, now: AgentPlan) -> AgentPlan:
         """Return the plan `now` with the commands of earlier agents, because their episodes stay

@@ -4,6 +4,7 @@ monitored until arrival.
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Iterable, Iterator, Mapping
@@ -276,7 +277,8 @@ class JointMover:
             if gripper is None or gripper.joint not in target:
                 continue
             asked, measured = target[gripper.joint], position_of(joints, gripper.joint)
-            if gripper.to_opening(measured) > gripper.to_opening(asked):
+            # `to_opening` would take an infinite position for an object in the hand
+            if math.isfinite(measured) and gripper.to_opening(measured) > gripper.to_opening(asked):
                 del left[gripper.joint]
         return left
 
