@@ -51,7 +51,6 @@ from .gate.roles import (
 from .gate.audit import (
     AuditLog as AuditLog,
     AuditRecord as AuditRecord,
-    user_at_terminal as user_at_terminal,
 )
 from .gate.motion.limiter import (
     MotionLimiter as MotionLimiter,

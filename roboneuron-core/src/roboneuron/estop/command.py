@@ -17,7 +17,7 @@ from roboneuron.config import read_state_directory, robot_folder
 from roboneuron.errors import ConfigurationError, RefusedError, RoboNeuronError
 from roboneuron.estop.latch import EmergencyStopLatch
 from roboneuron.estop.pin import ReleasePin
-from roboneuron.gate import AuditLog, AuditRecord, Role, user_at_terminal
+from roboneuron.gate import AuditLog, AuditRecord, Role
 from roboneuron.ros.environment import state_directory
 
 _AGAIN_S = 0.1
@@ -63,7 +63,7 @@ def run(arguments: Namespace) -> int:
     configured = read_state_directory(arguments.config) if arguments.config else None
     directory = state_directory(str(arguments.state) if arguments.state else configured)
     _folders(directory, arguments.robot)  # raises for an unknown robot
-    who = user_at_terminal()
+    who = AuditLog.user_at_terminal()
     if arguments.set_pin:
         return _set_pin(ReleasePin(directory), AuditLog.in_directory(directory), who)
     done: set[Path] = set()

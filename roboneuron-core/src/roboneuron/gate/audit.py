@@ -57,17 +57,6 @@ class AuditRecord:
     clamped: tuple[str, ...] = ()
 
 
-def user_at_terminal() -> str:
-    """Name of this process's user for records, also of one without an entry in passwd (as in a
-    container).
-    """
-    try:
-        name = getpass.getuser()
-    except (KeyError, OSError):
-        name = f"user {os.getuid()}"
-    return f"{name} at the command line"
-
-
 _CUT = AuditRecord(
     who="audit",
     role="",
@@ -91,6 +80,17 @@ class AuditLog:
         on_record: called with each written record, on the writer's thread; must return quickly.
         failed: writing the last record failed; a motion in progress has to end.
     """
+
+    @staticmethod
+    def user_at_terminal() -> str:
+        """Name of this process's user for records, also of one without an entry in passwd (as in a
+        container).
+        """
+        try:
+            name = getpass.getuser()
+        except (KeyError, OSError):
+            name = f"user {os.getuid()}"
+        return f"{name} at the command line"
 
     @classmethod
     def in_directory(cls, state: Path, clock_ns: Callable[[], int] = time.time_ns) -> AuditLog:

@@ -78,7 +78,7 @@ def _loosen(file: object) -> int:
     """
     from rn_standard.tools_arm.tightening import TightenedRecord, Tightening, TighteningFile
     from roboneuron import RefusedError
-    from roboneuron.command import AuditLog, AuditRecord, Role, user_at_terminal
+    from roboneuron.command import AuditLog, AuditRecord, Role
 
     assert isinstance(file, TighteningFile)
     if not sys.stdin.isatty():
@@ -94,7 +94,7 @@ def _loosen(file: object) -> int:
     if answer.strip().lower() not in ("y", "yes"):
         print("They stay.")
         return 1
-    who = user_at_terminal()
+    who = AuditLog.user_at_terminal()
     audit = AuditLog.in_directory(file.path.parent)
     audit.write(AuditRecord(who=who, role=Role.ADMIN, tool="limits --loosen", verdict="loosened"))
     file.write(TightenedRecord(tightening=Tightening(), who=who, at_ns=time.time_ns()))

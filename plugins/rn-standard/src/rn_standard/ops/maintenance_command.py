@@ -43,7 +43,7 @@ class Maintenance:
         """
         from rn_standard.ops.maintenance import MaintenanceFile
         from roboneuron import RefusedError
-        from roboneuron.command import AuditLog, Role, environment, estop, reading, user_at_terminal
+        from roboneuron.command import AuditLog, Role, environment, estop, reading
 
         configured = reading.read_state_directory(arguments.config) if arguments.config else None
         directory = environment.state_directory(
@@ -53,7 +53,7 @@ class Maintenance:
         folders = sorted(of_robots.glob("*")) or [directory]
         if arguments.robot:
             folders = [of_robots / arguments.robot]
-        who, status = user_at_terminal(), 0
+        who, status = AuditLog.user_at_terminal(), 0
         if arguments.end and not sys.stdin.isatty():
             raise RefusedError(
                 "Only a person in a terminal can put the robot back in service, and this is no "
