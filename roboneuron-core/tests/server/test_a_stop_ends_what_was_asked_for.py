@@ -171,6 +171,26 @@ def test_robot_and_control_that_come_back_keep_still(
     assert (machine["control"].needs_start, machine.needs_start) == ("", "")
 
 
+def test_a_request_from_before_a_stop_does_not_end_it(
+    machine: Machine, starts: MotionStarts
+) -> None:
+    asked = starts.arm_stops
+    machine["control"].stop("a fault")  # nobody has looked yet
+    with pytest.raises(StateError, match="a fault"):
+        starts.permit(asked)
+    assert machine["control"].needs_start == "a fault"
+    starts.permit(starts.arm_stops)
+    assert machine["control"].needs_start == ""
+
+
+def test_a_stop_of_the_policy_alone_voids_no_request_of_the_arm(
+    machine: Machine, starts: MotionStarts
+) -> None:
+    asked = starts.arm_stops
+    starts.note_stop("perception has ended by itself", holds_arm=False)
+    assert starts.permit(asked) == starts.stops
+
+
 def test_a_stop_while_motion_is_permitted_is_kept(machine: Machine, starts: MotionStarts) -> None:
     machine["control"].stop("a fault")
     set_ = machine["control"].set

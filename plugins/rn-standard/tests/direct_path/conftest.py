@@ -25,6 +25,7 @@ from rn_standard.direct_path.request import AllowedEndpoint
 from rn_standard.direct_path.writer import TopicWriter
 from rn_testing.gate_fixtures import Clock
 from roboneuron.contract import Endpoint, GripperProfile, JointLimits, JointSample, RobotProfile
+from roboneuron.errors import StateError
 from roboneuron.estop import EmergencyStopLatch
 from roboneuron.feature import ExposedEndpoint, GateRequest, TimedCommand
 from roboneuron.gate import AuditLog
@@ -290,7 +291,9 @@ class Bench:
         self.next.append(request)
         self._check_next(request)
 
-    def permit(self, exposed: ExposedEndpoint) -> None:
+    def permit(self, exposed: ExposedEndpoint, stops: int) -> None:
+        if stops != self.starts.arm_stops:
+            raise StateError(f"There was a stop meanwhile: {self.starts.reason}.")
         self.permitted.append(exposed.label)
         self.on_permit()
 

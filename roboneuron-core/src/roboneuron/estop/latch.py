@@ -156,9 +156,8 @@ class EmergencyStopLatch:
         """
         if self.is_latched():
             cause = self.read_state().cause
-            by = f" by {cause}" if cause else ""
             raise RefusedError(
-                f"The emergency stop is latched{by}.{note}",
+                f"The emergency stop is latched{f' by {cause}' if cause else ''}.{note}",
                 hint="It has to be reset first.",
                 rule="emergency_stop",
             )

@@ -119,18 +119,23 @@ class MotionStarts:
             reports = [slot.report for slot in slots if slot.phase == "running"]
             return any(report is not None and report.needs_start for report in reports)
 
-    def permit(self) -> int:
+    def permit(self, arm_stops: int | None = None) -> int:
         """Permit motion on a client's request: modules that a stop keeps still accept commands
         again. Return `stops`, see `check`.
+
+        Args:
+            arm_stops: the count when the request was made; None for now.
 
         Raises:
             RefusedError: a module reports another stop since.
             NotReadyError: a module does not answer.
-            StateError: as `check`.
+            StateError: as `check`, or there was a stop since the request.
         """
         self.look()
         self.settle()
-        count = self.stops
+        # when the request was made: a stop since then voids it, and is not ended by it
+        count = self.stops - (0 if arm_stops is None else self.arm_stops - arm_stops)
+        self.check(count)
         self._arm()
         with self._lock:
             if self.stops == count:  # otherwise `check` raises, and the stop stays

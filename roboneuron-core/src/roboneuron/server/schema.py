@@ -242,7 +242,8 @@ def _explain(model: type[BaseModel], error: ValidationError) -> InvalidInputErro
         return InvalidInputError.no_choice(path, first["input"], allowed)
     if first["type"] == "json_invalid":
         return InvalidInputError(_NO_JSON)
-    what = first["msg"].replace("Input should be ", "expected ")
     return InvalidInputError(
-        f"Argument {path!r} is {shortened(first['input'])}, {what}.", path=path
+        f"Argument {path!r} is {shortened(first['input'])}, "
+        f"{first['msg'].replace('Input should be ', 'expected ')}.",
+        path=path,
     )

@@ -165,7 +165,7 @@ class MotionArbiter:
         self._is_followed, self._hold_s, self._frozen_s = is_followed, hold_s, frozen_s
         self._gate = gate
         self._policy = policy
-        self._starts = loop.starts
+        self.starts = loop.starts
         self._lock = threading.Lock()
         self._moving: dict[str, ActiveMotion] = {}
         self._idle = threading.Condition(self._lock)
@@ -207,26 +207,13 @@ class MotionArbiter:
                 rule="ownership",
             )
 
-    def watch_stops(self, exposed: ExposedEndpoint) -> Callable[[], str]:
-        """Return a function that names the newest stop since now; empty for none, and for an
-        endpoint that moves nothing.
-        """
-        if not exposed.moves:
-            return str
-        self._starts.look()  # an earlier stop of the robot does not count
-        stops = self._starts.arm_stops
-        return lambda: self._starts.reason if self._starts.arm_stops != stops else ""
-
-    def check_unstopped(self, exposed: ExposedEndpoint, newest: Callable[[], str]) -> None:
-        """Raise StateError if there was a stop since a request, with the function of
-        `watch_stops` from then.
+    def stops_until_now(self, exposed: ExposedEndpoint) -> int:
+        """Number of stops before a request, which end nothing that it asks for; see
+        `MotionStarts.permit`.
         """
         if exposed.moves:
-            self._starts.look()
-        if reason := newest():
-            raise StateError(
-                f"There was a stop meanwhile: {reason}. Nothing was sent.", hint="Ask again."
-            )
+            self.starts.look()
+        return self.starts.arm_stops
 
     @contextmanager
     def claim(
@@ -244,11 +231,12 @@ class MotionArbiter:
             NotReadyError: control follows actions and does not reach its hold.
             StateError: as `ActiveMotion.check`.
         """
-        newest = self.watch_stops(exposed)
+        stops = self.stops_until_now(exposed)
 
         def stopped() -> str:
-            reason = newest()
-            return f"It was stopped: {reason}. The motion is not resumed." if reason else ""
+            if not exposed.moves or self.starts.arm_stops == stops:
+                return ""
+            return f"It was stopped: {self.starts.reason}. The motion is not resumed."
 
         policy = partial(self._policy, exposed) if exposed.moves else str
         motion = ActiveMotion(self._gate, exposed, what, halt, policy, stopped, self._frozen_s)

@@ -131,12 +131,12 @@ class DirectPath(Feature[DirectPathOptions]):
             self.judge.replace(())
             self.end_motion("The direct path is closed.", _CLOSE_S)
 
-    def _permit(self, exposed: ExposedEndpoint) -> None:
-        """Permit motion again after a stop, on a client's request. Raises as
-        `MotionStarts.permit`.
+    def _permit(self, exposed: ExposedEndpoint, stops: int) -> None:
+        """Permit motion again after a stop, on a client's request from after so many stops. Raises
+        as `MotionStarts.permit`.
         """
         if exposed.moves and exposed.namespace == self._host.config.namespace:
-            self._host.loop.starts.permit()
+            self._host.loop.starts.permit(stops)
 
     def _policy(self, exposed: ExposedEndpoint) -> str:
         """Describe the policy that moves the robot now; empty without one. A leading person does

@@ -45,7 +45,7 @@ class DirectGate:
         traffic: Traffic,
         allow_list: AllowList,
         max_duration_s: float,
-        permit: Callable[[ExposedEndpoint], None] = lambda exposed: None,
+        permit: Callable[[ExposedEndpoint, int], None] = lambda exposed, stops: None,
         is_still: Callable[[], bool] = lambda: False,
     ) -> None:
         self._permit, self._is_still = permit, is_still
@@ -60,8 +60,8 @@ class DirectGate:
             arbiter.claim,
             arbiter.end_all,
         )
-        self._watch, self._watch_stops = arbiter.watch, arbiter.watch_stops
-        self._check_unstopped = arbiter.check_unstopped
+        self._watch, self._starts = arbiter.watch, arbiter.starts
+        self._stops_until_now = arbiter.stops_until_now
         self.newest_joints, self.joints = traffic.newest_joints, traffic.joints
         self.is_served, self.cancel_goal = traffic.is_served, traffic.cancel_goal
 
@@ -87,14 +87,14 @@ class DirectGate:
         """As `MotionGate.send_request`."""
         # it changes nothing, so it is answered in a dry run too
         is_query = exposed.endpoint.kind == "read"
-        stops = self._watch_stops(exposed)
+        stops = self._stops_until_now(exposed)
         if not is_query:
             self.check_free(exposed)
         verdict = self._gate.check(request)
         if not (verdict.allowed if is_query else verdict.may_send):
             return verdict, None
         if not is_query:
-            self._permit_unless(stops, exposed)
+            self._permit_now(exposed, stops)
         call = self._traffic.link().call(
             load_type(exposed.endpoint.type), exposed.topic, request.messages[0], on_answer
         )
@@ -111,7 +111,7 @@ class DirectGate:
     ) -> tuple[Verdict, Any]:
         """As `MotionGate.send_goal`."""
         motion.check()
-        stops = self._watch_stops(exposed)
+        stops = self._starts.arm_stops
         verdict = self._gate.check(request)  # first: a refused request must not wait for a server
         if not verdict.may_send:
             return verdict, None
@@ -126,7 +126,7 @@ class DirectGate:
                 motion.sleep_until(min(deadline_s, time.monotonic() + _LOOK_S))
             joints = self.newest_joints(exposed) if exposed.endpoint.joint_limited else None
             self._gate.check(replace(request, repeated=True, joints=joints))
-        self._permit_unless(stops, exposed)
+        self._permit(exposed, stops)
         if exposed.moves:
             watch = self._gate.way_watch(request, lambda: self.newest_joints(exposed))
             if watch is not None:
@@ -181,14 +181,14 @@ class DirectGate:
         request = self._with_joints(exposed, request, timeout_s)
         if request.dry_run:
             return self._asked(exposed, request)
-        stops = self._watch_stops(exposed)
+        stops = self._stops_until_now(exposed)
         self.check_free(exposed)
         verdict = self._gate.check(request)
         writer = self._traffic.writer(exposed)
         if not verdict.may_send:
             return Sent(verdict=verdict, subscribers=writer.listening())
         matched = self._connect(exposed, writer, request, timeout_s, owned=False)
-        self._permit_unless(stops, exposed)
+        self._permit_now(exposed, stops)
         started_s = time.monotonic()
         writer.send(request.messages[0], stamped)
         return Sent(
@@ -214,13 +214,13 @@ class DirectGate:
         if request.dry_run:
             return self._asked(exposed, request)
         with self.claim(exposed, request.tool, halt) as motion:
-            stops = self._watch_stops(exposed)
+            stops = self._starts.arm_stops
             verdict = self._gate.check(request)
             writer = self._traffic.writer(exposed)
             if not verdict.may_send:
                 return Sent(verdict=verdict, subscribers=writer.listening())
             matched = self._connect(exposed, writer, request, timeout_s, owned=True)
-            self._permit_unless(stops, exposed)
+            self._permit(exposed, stops)
             try:
                 end = delivery.run(
                     motion,
@@ -243,14 +243,12 @@ class DirectGate:
                 stopped=end.ending in (Ending.STOP_MESSAGE, Ending.HOLD),
             )
 
-    def _permit_unless(self, stops: Callable[[], str], exposed: ExposedEndpoint) -> None:
-        """Permit motion after an earlier stop, but not after one since the request, or while the
-        emergency stop is latched. Raises StateError, RefusedError.
+    def _permit_now(self, exposed: ExposedEndpoint, stops: int) -> None:
+        """Permit motion for what is sent once, unless there was a stop since the request: nothing
+        else looks after this. Raises StateError, RefusedError.
         """
-        self._check_unstopped(exposed, stops)
-        self._permit(exposed)
-        if exposed.endpoint.kind != "read":
-            self._gate.latch.check(" Nothing was sent.")
+        self._permit(exposed, stops)
+        self._gate.latch.check(" Nothing was sent.")
 
     def _with_joints(
         self, exposed: ExposedEndpoint, request: GateRequest, timeout_s: float
