@@ -53,8 +53,11 @@ def test_it_picks_a_cube_up_and_puts_it_within_reach_again_and_again(
             )
             places.append(cube.position_m[:2])
             rows = leader["demonstrate"](joints_of(simulation), cube, random)
-            # within control's limit for a row: 0.1 m is about 0.17 rad
-            assert np.abs(np.diff(rows[:, :7], axis=0)).max() < 0.2
+            # within control's limits for a row: 0.1 m is about 0.17 rad, and the last joint only
+            # turns the hand, by at most 0.5 rad
+            steps = np.abs(np.diff(rows[:, :7], axis=0))
+            assert steps[:, :6].max() < 0.2
+            assert steps[:, 6].max() < 0.5
             play(simulation, leader, rows)
             assert simulation.cubes()["red"].lifted_m > leader["LIFTED_M"]
             back = leader["put_elsewhere"](joints_of(simulation), random)

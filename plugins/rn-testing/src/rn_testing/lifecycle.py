@@ -103,6 +103,8 @@ class Lifecycle(Generic[CaseT, C]):
         abuses: calls with invalid arguments, which must be refused.
         besides: names of further methods without arguments, called while the process is watched.
         repeat: number of uses per round of the memory rule.
+        ends: errors by which many uses may come to an end, such as an episode's.
+        renew: begins anew after one of them.
     """
 
     subject: str
@@ -113,6 +115,8 @@ class Lifecycle(Generic[CaseT, C]):
     abuses: Sequence[Callable[[CaseT, C], object]] = ()
     besides: Sequence[str] = ()
     repeat: int = 20
+    ends: tuple[type[Exception], ...] = ()
+    renew: Callable[[C], object] = lambda subject: None
 
     @contextmanager
     def running(self, case: CaseT, build: Callable[[], C] | None = None) -> Iterator[C]:
@@ -323,10 +327,18 @@ class Lifecycle(Generic[CaseT, C]):
         for error in errors:
             check_error(error)
 
+    def _use_on(self, case: CaseT, subject: C) -> object:
+        """Use it once more in a long row of uses."""
+        try:
+            return self._use(case, subject)
+        except self.ends:
+            self.renew(subject)
+            return self._use(case, subject)
+
     def _check_memory(self, case: CaseT) -> None:
         build = attempt(case, lambda: case.prepare(MemoryTopics(history=1)))
         with self.running(case, build) as subject:
-            check_memory(lambda: self._use(case, subject), self._name, count=self.repeat)
+            check_memory(lambda: self._use_on(case, subject), self._name, count=self.repeat)
 
     def _check_use_first(self, case: CaseT, name: str) -> None:
         subject = self.built(case)

@@ -90,6 +90,9 @@ LIFECYCLE: Lifecycle[BackendCase, Backend] = Lifecycle(
     abuses=(_predict_blind,),
     besides=("reset",),
     repeat=10,
+    # a quick one may call an arm stuck after some hundred images of a scene that does not change
+    ends=(UngroundedError,),
+    renew=lambda backend: backend.reset(),
 )
 """Start and use of a backend."""
 loaded = LIFECYCLE.running
