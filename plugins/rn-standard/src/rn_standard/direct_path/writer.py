@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import threading
 import time
 from collections.abc import Sequence
@@ -39,6 +40,16 @@ _REPLACE_S = 0.5
 _SETTLE_S = 0.03
 """Wait after the first match: until the other side has matched too, a volatile message would be
 lost there.
+"""
+_UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"
+"""Name of a subscription's node until its process has sent its names. It sends them once it has
+discovered this process, so that it will match too. Source: rmw_dds_common's graph cache.
+"""
+_RECORDER = re.compile(r"recorder_\d+")
+"""Node of the server's own recorder, which subscribes to what it records: no robot."""
+_KNOWN_S = 1.0
+"""Longest wait for the names, twice the period of announcements: a subscription outside of ROS has
+none.
 """
 
 
@@ -102,16 +113,30 @@ class TopicWriter:
         self._lock = threading.Lock()
         self._publisher: Publisher | None = None
         self._key: tuple[object, ...] = ()
+        # matched subscriptions at the newest look at their nodes, and how many are the recorder's
+        self._looked_at, self._recorders = 0, 0
         self.has_new_misfit = False
         self.misfit = ""
 
     def matched(self) -> int:
-        """Number of subscriptions that the next message reaches; about 5 us."""
-        return 0 if self._publisher is None else int(self._publisher.get_subscription_count())
+        """Number of subscriptions that the next message reaches, without the recorder's; about 5 us
+        while none comes or goes.
+        """
+        if self._publisher is None:
+            return 0
+        count = int(self._publisher.get_subscription_count())
+        if count != self._looked_at:
+            found = self._link.node.get_subscriptions_info_by_topic(self.topic)
+            self._recorders = sum(map(_is_recorder, found))
+            is_known = all(info.node_name != _UNKNOWN_NODE for info in found)
+            self._looked_at = count if is_known else 0
+        return max(0, count - self._recorders)
 
     def listening(self) -> int:
-        """Number of subscriptions on the topic, matched or not; creates no publisher."""
-        return len(self._subscriptions())
+        """Number of subscriptions on the topic, matched or not, without the recorder's; creates no
+        publisher.
+        """
+        return sum(not _is_recorder(info) for info in self._subscriptions())
 
     def connect(self, timeout_s: float) -> int:
         """Wait for a matched subscription; return their number, 0 after `timeout_s`.
@@ -128,11 +153,22 @@ class TopicWriter:
                 self.has_new_misfit = False
                 self._offer(offered_qos(self._subscriptions()))
                 if self.matched():
-                    time.sleep(_SETTLE_S)
+                    self._await_other_side()
                     return self.matched()
                 if time.monotonic() >= deadline_s:
                     return 0
                 time.sleep(_POLL_S)
+
+    def _await_other_side(self) -> None:
+        """Wait until the subscriptions have matched as well: this side may match up to a period of
+        announcements earlier.
+        """
+        end_s = time.monotonic() + _KNOWN_S
+        while time.monotonic() < end_s and any(
+            info.node_name == _UNKNOWN_NODE for info in self._subscriptions()
+        ):
+            time.sleep(_POLL_S)
+        time.sleep(_SETTLE_S)
 
     def send(self, message: Any, stamped: bool) -> None:
         """Publish a command, with the present time in its header if `stamped`; requires a previous
@@ -199,6 +235,10 @@ class TopicWriter:
         self._publisher, self._key = made, key
         if old is not None:
             self._link.on_executor(lambda: node.destroy_publisher(old))
+
+
+def _is_recorder(info: TopicEndpointInfo) -> bool:
+    return info.node_namespace == "/" and _RECORDER.fullmatch(info.node_name) is not None
 
 
 class NewestMessage:
