@@ -83,14 +83,20 @@ def test_one_that_has_fallen_silent_is_undone_in_the_end(monkeypatch: pytest.Mon
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "is_refused"),
-    [("", "", False), ("a lead", "", True), ("a lead", "a lead", False), ("", "a lead", False)],
+    ("kind", "old", "new", "is_refused"),
+    [
+        ("control", "", "", False),
+        ("control", "a lead", "", True),
+        ("control", "a lead", "a lead", False),
+        ("control", "", "a lead", False),
+        ("inference", "a lead", "", False),
+    ],
 )
 def test_a_stop_that_only_the_old_one_knows_is_not_lost(
-    old: str, new: str, is_refused: bool
+    kind: str, old: str, new: str, is_refused: bool
 ) -> None:
     machine = Machine()
-    check = SimpleNamespace(kind="control", noun="controller")
+    check = SimpleNamespace(kind=kind, noun="controller")
     switch = switch_of(machine, check)
     machine.slot.report = Report(received_s=1.0, needs_start=old)
     standby: Any = SimpleNamespace(report=Report(received_s=1.0, needs_start=new))

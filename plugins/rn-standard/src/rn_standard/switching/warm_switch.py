@@ -145,9 +145,11 @@ class WarmSwitch:
             )
 
     def _check_stops(self, standby: Slot) -> None:
-        """Raise StateError if only the old module needs a new start, after a stop that the new one
-        has not seen, such as the end of a lead.
+        """Raise StateError if only the old control needs a new start, after a stop that the new one
+        has not seen, such as the end of a lead. A policy needs an instruction anyway.
         """
+        if self._kind != "control":
+            return
         old, new = self._working().report, standby.report
         if old is not None and old.needs_start and new is not None and not new.needs_start:
             raise StateError(
