@@ -83,7 +83,7 @@ def test_a_message_waits_for_subscriptions_whose_process_has_not_discovered_this
     named_after: int | None,
     waits: int,
 ) -> None:
-    """One outside of ROS never gets a name."""
+    """Names of ROS 2 Humble never come."""
     graph.nodes = [("_NODE_NAMESPACE_UNKNOWN_", "_NODE_NAME_UNKNOWN_")]
     waits_s: list[float] = []
 

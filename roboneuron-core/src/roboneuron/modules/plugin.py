@@ -21,9 +21,8 @@ def build(
         MissingDependencyError, ConfigurationError, PluginError: see `load_target` and
             `load_options`.
     """
-    return cast("Callable[..., object]", load_target(spec))(
-        load_options(spec, options), *arguments, **parts
-    )
+    target = cast("Callable[..., object]", load_target(spec))
+    return target(load_options(spec, options), *arguments, **parts)
 
 
 def load_profile(registry: Registry, robot: str) -> RobotProfile:

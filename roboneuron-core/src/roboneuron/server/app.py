@@ -233,10 +233,11 @@ def make_served(config: Config) -> Served:
     if not config.robots:
         return Application(config)
     spec = fleet_feature(discover(config.disabled_plugins))
-    return cast(
+    make = cast(
         "Callable[[Config, Path], Served]",
         load_attribute(spec.fleet or "", f"feature {spec.name!r}"),
-    )(config, state_directory(config.supervisor.state_directory))
+    )
+    return make(config, state_directory(config.supervisor.state_directory))
 
 
 def serve(config: Config, wire: tuple[int, int]) -> None:

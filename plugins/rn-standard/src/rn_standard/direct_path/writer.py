@@ -20,7 +20,7 @@ from rclpy.qos import (
     ReliabilityPolicy,
 )
 
-from rn_standard.direct_path.type_hashes import check_type_hash
+from rn_standard.direct_path.type_hashes import NAMELESS, check_type_hash
 from roboneuron import ConfigurationError
 
 if TYPE_CHECKING:
@@ -41,15 +41,11 @@ _SETTLE_S = 0.03
 """Wait after the first match: until the other side has matched too, a volatile message would be
 lost there.
 """
-_UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"
-"""Name of a subscription's node until its process has sent its names. It sends them once it has
-discovered this process, so that it will match too. Source: rmw_dds_common's graph cache.
-"""
 _RECORDER = re.compile(r"recorder_\d+")
 """Node of the server's own recorder, which subscribes to what it records: no robot."""
 _KNOWN_S = 1.0
-"""Longest wait for the names, twice the period of announcements: a subscription outside of ROS has
-none.
+"""Longest wait for the names of nodes, twice the period of announcements: those of ROS 2 Humble and
+older never come.
 """
 
 
@@ -128,7 +124,7 @@ class TopicWriter:
         if count != self._looked_at:
             found = self._link.node.get_subscriptions_info_by_topic(self.topic)
             self._recorders = sum(map(_is_recorder, found))
-            is_known = all(info.node_name != _UNKNOWN_NODE for info in found)
+            is_known = all(info.node_name != NAMELESS for info in found)
             self._looked_at = count if is_known else 0
         return max(0, count - self._recorders)
 
@@ -161,11 +157,12 @@ class TopicWriter:
 
     def _await_other_side(self) -> None:
         """Wait until the subscriptions have matched as well: this side may match up to a period of
-        announcements earlier.
+        announcements earlier. A process sends its nodes' names once it has discovered this one, so
+        that it will match too. Source: rmw_dds_common's graph cache.
         """
         end_s = time.monotonic() + _KNOWN_S
         while time.monotonic() < end_s and any(
-            info.node_name == _UNKNOWN_NODE for info in self._subscriptions()
+            info.node_name == NAMELESS for info in self._subscriptions()
         ):
             time.sleep(_POLL_S)
         time.sleep(_SETTLE_S)

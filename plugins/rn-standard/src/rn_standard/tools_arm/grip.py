@@ -76,7 +76,7 @@ class Grip:
                 "The gripper was not measured.", hint="Is the robot running? See get_status."
             )
         position = float(joints.position[joints.names.index(gripper.joint)])
-        if not math.isfinite(position):  # `to_opening` would make 0 or 1 of it
+        if not math.isfinite(position):  # `to_opening` makes 0 or 1 of infinity
             raise NotReadyError(
                 f"The gripper's position is measured as {position}.", hint="See get_status."
             )

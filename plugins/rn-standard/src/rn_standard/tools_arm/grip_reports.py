@@ -109,7 +109,7 @@ def _opening(gripper: GripperProfile, joints: JointCommand | JointSample) -> flo
     if gripper.joint not in joints.names:
         return None
     position = float(joints.position[joints.names.index(gripper.joint)])
-    # `to_opening` would make 0 or 1 of it
+    # `to_opening` makes 0 or 1 of infinity
     return gripper.to_opening(position) if math.isfinite(position) else None
 
 
