@@ -49,7 +49,7 @@ def record_fr3(tmp_path: Path, foreign: Sequence[Record] = ()) -> Path:
         urdf=profile().urdf,
         mounts=(MOUNT,),
     )
-    process = RecorderWorker(settings)
+    process = RecorderWorker(settings, lambda line: None)
     process.recording.store.make()
     process._frames.begin()
     process._orders.append({"do": "start", "number": 1, "name": "demo", "facts": {}})

@@ -22,6 +22,14 @@ from rn_recorder.process import RecorderProcess
 from rn_testing.waiting import wait_until
 from roboneuron import NotReadyError
 
+GARBLES = """
+import json, sys
+print('{"status": {"recording": ""}}', flush=True)
+number = json.loads(sys.stdin.readline())["number"]
+print(WORDS % number, flush=True)
+sys.stdin.readline()
+"""
+"""Answers the first order with these words."""
 DIES = """
 import sys
 print('{"status": {"recording": ""}}', flush=True)
@@ -29,11 +37,13 @@ sys.stdin.readline()
 """
 """Takes the first order along."""
 OBEYS = """
-import json, sys, threading, time
+import json, os, sys, threading, time
 run = {"id": ""}
+def say(**line):
+    os.write(1, json.dumps(line).encode() + b"\\n")  # whole, although two threads write
 def tell():
     while True:
-        print(json.dumps({"status": {"recording": run["id"]}}), flush=True)
+        say(status={"recording": run["id"]})
         time.sleep(0.05)
 threading.Thread(target=tell, daemon=True).start()
 for line in sys.stdin:
@@ -42,14 +52,14 @@ for line in sys.stdin:
         break
     if order["do"] == "start":
         run["id"] = order["name"] + "-run"
-        print(json.dumps({"re": order["number"], "id": run["id"]}), flush=True)
+        say(re=order["number"], id=run["id"])
 """
 REPEATS = OBEYS.replace("import json", "seen = []\nimport json").replace(
     """    if order["do"] == "start":""",
     """    seen.append(order.get("name"))
     if order["do"] == "start":""",
 )
-REPEATS = REPEATS.replace('"id": run["id"]}', '"id": run["id"], "order": order, "seen": seen}')
+REPEATS = REPEATS.replace('id=run["id"])', 'id=run["id"], order=order, seen=seen)')
 """Its answers contain the order, and the names of all orders that came."""
 SLOW = "import time; time.sleep(1.0)\n" + OBEYS
 
@@ -111,6 +121,31 @@ def test_who_asks_a_recorder_that_ends_is_told_so_at_once(keep: Callable[..., An
     assert process.wait_for_status()
     with pytest.raises(NotReadyError, match="ended before it answered"):
         process.ask({"do": "start", "name": "mine", "facts": {}}, timeout_s=60.0)
+
+
+BROKEN = {
+    "two lines in one": '{"re": %s, "id": "a"}{"status": {}}',
+    "half a line": '{"re": %s, "id": "a',
+    "a line of a library": "[RTPS_TRANSPORT_SHM Error] of %s",
+    "no object": "[%s]",
+    "deep": "[" * 20_000 + "%s",
+    "no answer and no status": '{"id": %s}',
+    "a status that is none": '{"status": %s}',
+    "a number that is none": '{"re": "%s", "id": "a"}',
+}
+
+
+@pytest.mark.parametrize("words", BROKEN.values(), ids=BROKEN)
+def test_who_waits_is_told_at_once_of_a_line_that_cannot_be_read(
+    keep: Callable[..., Any], caplog: pytest.LogCaptureFixture, words: str
+) -> None:
+    process = keep(f"WORDS = {words!r}\n{GARBLES}")
+    assert process.wait_for_status()
+    with pytest.raises(NotReadyError, match="could not be read"):
+        process.ask({"do": "start", "name": "mine", "facts": {}}, timeout_s=60.0)
+    assert process.broken == 1
+    assert [record.levelname for record in caplog.records] == ["ERROR"]
+    assert len(caplog.text) < 1000
 
 
 def test_the_recording_of_a_server_begins_with_the_recorder_that_obeys(

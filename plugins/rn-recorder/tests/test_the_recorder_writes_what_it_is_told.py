@@ -51,7 +51,7 @@ def image_record(number: int) -> Record:
 def record(tmp_path: Path) -> Callable[..., RecorderWorker]:
     """Return a function that makes a recorder whose turns the test makes."""
 
-    def make(images: Any) -> RecorderWorker:
+    def make(images: Any, tell: Callable[[Any], object] = lambda line: None) -> RecorderWorker:
         settings = RecorderSettings(
             namespace="toy",
             state_directory=tmp_path,
@@ -63,7 +63,7 @@ def record(tmp_path: Path) -> Callable[..., RecorderWorker]:
             rules=RULES,
             about={"robot": "toy"},
         )
-        process = RecorderWorker(settings)
+        process = RecorderWorker(settings, tell)
         process.recording.store.make()
         process._orders.append({"do": "start", "number": 1, "name": "demo", "facts": {}})
         process._turn()
@@ -194,11 +194,10 @@ def test_a_part_ends_when_it_is_large(record: Callable[..., RecorderWorker]) -> 
 
 
 def test_what_was_missed_before_a_recording_is_not_counted_as_its_own(
-    record: Callable[..., RecorderWorker], monkeypatch: pytest.MonkeyPatch
+    record: Callable[..., RecorderWorker],
 ) -> None:
-    process = record("lossless")
     told: list[dict[str, Any]] = []
-    monkeypatch.setattr(process, "_tell", told.append)
+    process = record("lossless", told.append)
     for missed in (7, 9):
         process.counts = lambda missed=missed: {"gaps": {"/toy/t": missed}}  # type: ignore[misc]
         process._orders.append({"do": "stop", "number": missed, "facts": {}})

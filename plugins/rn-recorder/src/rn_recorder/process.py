@@ -18,6 +18,7 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from typing import Any
 
+from rn_recorder_runs.line_pipe import parse_line
 from roboneuron import NotReadyError
 
 log = logging.getLogger(__name__)
@@ -67,6 +68,8 @@ class RecorderProcess:
         self.starts = 0
         self.ends = 0
         self.dropped = 0
+        self.broken = 0
+        """Number of lines of recorders that are no answer."""
 
     @property
     def pid(self) -> int | None:
@@ -119,11 +122,12 @@ class RecorderProcess:
         later.
 
         Raises:
-            NotReadyError: it does not run, ended meanwhile, or did not answer in time.
+            NotReadyError: it does not run, ended meanwhile, sent a broken line, or did not answer
+                in time.
         """
         with self._changed:
             self._number += 1
-            number, ends = self._number, self.ends
+            number, before = self._number, (self.ends, self.broken)
             self._awaited.add(number)
         # the recorder has the same monotonic clock, because it runs on this machine
         until_s = time.monotonic() + VALID_SHARE * timeout_s
@@ -132,22 +136,30 @@ class RecorderProcess:
                 raise NotReadyError(
                     "The recorder takes no orders.", hint="list_recordings tells how it is."
                 )
-            return self._answer_to(number, ends, timeout_s)
+            return self._answer_to(number, before, timeout_s)
         finally:
             with self._changed:
                 self._awaited.discard(number)
                 self._answers.pop(number, None)
 
-    def _answer_to(self, number: int, ends: int, timeout_s: float) -> dict[str, Any]:
-        """Wait for the answer to an order that was given after `ends` ends. Raises NotReadyError
-        as `ask`.
+    def _answer_to(self, number: int, before: tuple[int, int], timeout_s: float) -> dict[str, Any]:
+        """Wait for the answer to an order that was given after that many ends and broken lines.
+        Raises NotReadyError as `ask`.
         """
         with self._changed:
-            self._changed.wait_for(lambda: number in self._answers or self.ends > ends, timeout_s)
-            if number not in self._answers and self.ends > ends:
+            self._changed.wait_for(
+                lambda: number in self._answers or (self.ends, self.broken) != before, timeout_s
+            )
+            if number not in self._answers and self.ends > before[0]:
                 raise NotReadyError(
                     "The recorder ended before it answered.",
                     hint="It is started again: call again.",
+                )
+            if number not in self._answers and self.broken > before[1]:
+                raise NotReadyError(
+                    "A line of the recorder could not be read; it may have been the answer.",
+                    hint="list_recordings tells what is recorded now; the server's log has the "
+                    "line.",
                 )
             if number not in self._answers:
                 raise NotReadyError(
@@ -265,14 +277,18 @@ class RecorderProcess:
         assert child.stdout is not None
         with child.stdout:
             for line in child.stdout:
-                with suppress(ValueError):
-                    answer = json.loads(line)
-                    with self._changed:
-                        if "status" in answer:
-                            self.status, self._told_s = answer["status"], time.monotonic()
-                        elif isinstance(answer.get("re"), int):
-                            self._take(answer)
-                        self._changed.notify_all()
+                if not line.endswith(b"\n"):
+                    return  # it was killed within a line; who waits is told that it ended
+                answer = parse_line(line) or {}
+                with self._changed:
+                    if isinstance(answer.get("status"), dict):
+                        self.status, self._told_s = answer["status"], time.monotonic()
+                    elif isinstance(answer.get("re"), int):
+                        self._take(answer)
+                    else:
+                        log.error("The recorder sent a line that is no answer: %.200r", line)
+                        self.broken += 1
+                    self._changed.notify_all()
 
     def _take(self, answer: dict[str, Any]) -> None:
         """Keep an answer for its caller; with `_changed` held."""

@@ -25,6 +25,7 @@ from rn_recorder_runs.audit_tail import AuditTail
 from rn_recorder_runs.files import Record
 from rn_recorder_runs.frames import Frames
 from rn_recorder_runs.images import COMPRESSED, IMAGE, to_jpeg, to_string
+from rn_recorder_runs.line_pipe import LinePipe, own_stdout, parse_line
 from rn_recorder_runs.priority import give_way
 from rn_recorder_runs.recording import Recording, Rules
 from rn_recorder_runs.settings import RecorderSettings
@@ -77,10 +78,18 @@ class Backlog:
 
 
 class RecorderWorker:
-    """All work except ROS: orders, encoding, writing, status."""
+    """All work except ROS: orders, encoding, writing, status.
 
-    def __init__(self, settings: RecorderSettings) -> None:
+    Args:
+        settings: its settings.
+        tell: writes one line to the server, without blocking.
+    """
+
+    def __init__(
+        self, settings: RecorderSettings, tell: Callable[[Mapping[str, object]], object]
+    ) -> None:
         self._settings = settings
+        self._tell = tell
         self._backlog = Backlog()
         self._orders: deque[dict[str, object]] = deque()
         self._stop = threading.Event()
@@ -244,18 +253,16 @@ class RecorderWorker:
             "incidents": list(self.recording.incidents_written[-20:]),
         }
 
-    def _tell(self, answer: Mapping[str, object]) -> None:
-        with suppress(OSError):  # the server does not read, or has ended
-            os.write(1, json.dumps(answer).encode() + b"\n")
-
     def _listen(self) -> None:
         with os.fdopen(os.dup(0), "rb") as stream:
             for line in stream:
-                with suppress(ValueError):
-                    order = json.loads(line)
-                    if order.get("do") == "leave":
-                        self._was_dismissed = True
-                        break
+                order = parse_line(line)
+                if order is None:
+                    log.error("The server sent a line that is no order: %.200r", line)
+                elif order.get("do") == "leave":
+                    self._was_dismissed = True
+                    break
+                else:
                     self._orders.append(order)
         self._stop.set()
         self.wake.set()
@@ -274,6 +281,7 @@ def _absolute(patterns: tuple[str, ...], namespace: str) -> list[str]:
 def main() -> None:
     """Entry point."""
     log_files.begin_logging(logging.INFO)
+    pipe = LinePipe(own_stdout())
     first = b""
     while not first.endswith(b"\n"):
         byte = os.read(0, 1)
@@ -281,7 +289,6 @@ def main() -> None:
             sys.exit("stdin ended before the settings came.")
         first += byte
     settings = RecorderSettings.model_validate_json(first)
-    os.set_blocking(1, False)
     give_way()
     signals = Signals()
     signals.listen()
@@ -294,7 +301,7 @@ def main() -> None:
 
     from rn_recorder_runs.tap import TopicTap
 
-    process = RecorderWorker(settings)
+    process = RecorderWorker(settings, pipe.write)
     try:
         process.begin()
     except StateError as error:
