@@ -39,7 +39,9 @@ async def main():
 anyio.run(main)
 """  # noqa: E501
 SUBSCRIBER = """
-import sys, time
+import os, time
+wire = os.dup(1)
+os.dup2(2, 1)  # Fast DDS warns on standard output
 import rclpy
 from geometry_msgs.msg import Twist
 
@@ -47,11 +49,11 @@ rclpy.init()
 node = rclpy.create_node("listener", namespace="bench")
 
 def take(message):
-    sys.stdout.write(f"{time.monotonic_ns()} {message.linear.x!r} {message.linear.y!r}\\n")
-    sys.stdout.flush()
+    line = f"{time.monotonic_ns()} {message.linear.x!r} {message.linear.y!r}\\n"
+    os.write(wire, line.encode())
 
 node.create_subscription(Twist, "cmd_vel", take, 100)
-print("up", flush=True)
+os.write(wire, b"up\\n")
 rclpy.spin(node)
 """
 

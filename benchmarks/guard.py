@@ -40,6 +40,7 @@ from rn_controller_urdf.ik import InverseKinematics
 from rn_controller_urdf.model import build_arm_model
 from rn_robot_fr3.profile import profile as fr3_profile
 from rn_testing.domain import free_ros_domain
+from rn_testing.waiting import wait_for_line
 from roboneuron.ros.environment import prepare_environment
 
 sys.path.pop(0)
@@ -123,10 +124,10 @@ def start_to_message(folder: Path, rounds: int) -> tuple[float, float]:
                 [sys.executable, "-c", BARE_NODE],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
+                text=True,
                 env=direct_cell.with_bytecode(),
             ) as process:
-                assert process.stdout is not None
-                process.stdout.readline()
+                wait_for_line(process.stdout, "up")
                 floor.append((time.monotonic() - begun_s) * 1e3)
                 process.communicate(timeout=direct_cell.CALL_S)
             ours.append(anyio.run(bench_direct.measure_start, 3, listener, folder)[2] * 1e3)

@@ -16,7 +16,7 @@ import pytest
 from rn_standard.fastdds.feature import SharedMemoryRepair
 from rn_standard.fastdds.segments import SHARED_MEMORY, owned_segments
 from rn_testing.fakes import fake_plan
-from rn_testing.waiting import wait_until
+from rn_testing.waiting import wait_for_line, wait_until
 from roboneuron.config import Config, parse_config
 from roboneuron.supervisor.supervisor import Supervisor
 
@@ -35,7 +35,7 @@ from roboneuron.supervisor.supervisor import Supervisor
 supervisor = Supervisor(Path({state!r}), command=lambda python: {command!r})
 supervisor.link
 SharedMemoryRepair(None).start(SimpleNamespace(modules=supervisor))
-print(supervisor.start(fake_plan("robot", parse_config({config!r}))).process.pid, flush=True)
+print("pid", supervisor.start(fake_plan("robot", parse_config({config!r}))).process.pid, flush=True)
 time.sleep(60)
 """
 
@@ -90,8 +90,7 @@ def test_a_server_that_was_killed(tmp_path: Path) -> None:
     with subprocess.Popen(
         [sys.executable, "-c", script], stdout=subprocess.PIPE, text=True
     ) as server:
-        assert server.stdout is not None
-        pid = int(server.stdout.readline())
+        pid = int(wait_for_line(server.stdout, "pid ").split()[1])
         segments = owned_segments(server.pid)
         server.kill()
     wait_until(lambda: not Path(f"/proc/{pid}").exists(), 15.0, "the module is gone")

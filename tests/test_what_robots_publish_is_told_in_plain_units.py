@@ -236,8 +236,7 @@ def test_an_agent_asks_a_server_for_them(
             ("pose.position.x", 2.5),
             ("pose.position.y", 1.0),
         ]
-        assert talker.stdout is not None
-        assert talker.stdout.readline() == "map 2.5 1.0\n"
+        assert wait_for_line(talker.stdout, "map ") == "map 2.5 1.0\n"
         assert "in the zone 'stairs'" in await agent.fail("publish_goal", **goal(1.0, "camera"))
         assert "pose.position.x is" in await agent.fail("publish_goal", **goal(4.0, "camera"))
         assert "s old, allowed is 1 s" in await agent.fail("publish_goal", **goal(0.0, "late"))

@@ -97,6 +97,22 @@ def test_a_check_that_crashes_names_the_rule_and_the_reason(monkeypatch, tmp_pat
     assert "took the process down" in results[1].detail
 
 
+@pytest.mark.parametrize(
+    ("body", "words"),
+    [
+        ("import os\nos._exit(0)\n", "ended within this rule"),
+        ('print(\'{"subject": "rn-x", "verdict"\')\n', "broken"),
+        ("print('[1]')\n", "broken"),
+        ("print('[RTPS_TRANSPORT_SHM Error] port')\n", "broken"),
+    ],
+)
+def test_a_result_that_is_lost_or_broken_fails_the_rule(monkeypatch, tmp_path, body, words):
+    _worker(monkeypatch, tmp_path, body)
+    results = plugin_check.run_worker("{}", 120.0)
+    assert [(r.rule, r.verdict) for r in results] == [("x/one", "passed"), ("x/two", "crashed")]
+    assert words in results[1].detail
+
+
 def test_check_of_what_is_not_ready_says_why_and_fails(only, capsys):
     only.install(
         "rn-bad", GOOD.replace('"good"', '"odd"').replace("summary", "contract=99, summary")

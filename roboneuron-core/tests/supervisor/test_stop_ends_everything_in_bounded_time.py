@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from rn_testing.fakes import fake_plan
-from rn_testing.waiting import wait_until
+from rn_testing.waiting import wait_for_line, wait_until
 from roboneuron.config import Config
 from roboneuron.errors import NotReadyError, StateError
 from roboneuron.supervisor import bringup
@@ -167,8 +167,8 @@ config = parse_config('[robot]\\nname = "fake"\\n[plugins.fault]\\nperception = 
 supervisor = Supervisor(Path({state!r}), command=lambda python: {command!r})
 for kind in ("robot", "perception"):
     view = supervisor.start(fake_plan(kind, config))
-    print(view.process.pid, flush=True)
-print(view.report.metrics["child_pid"], flush=True)
+    print("pid", view.process.pid, flush=True)
+print("pid", view.report.metrics["child_pid"], flush=True)
 time.sleep(60)
 """
 
@@ -180,8 +180,7 @@ def test_the_modules_of_a_killed_server_end_with_it(
     with subprocess.Popen(
         [sys.executable, "-c", script], stdout=subprocess.PIPE, text=True
     ) as parent:
-        assert parent.stdout is not None
-        pids = [int(parent.stdout.readline()) for _ in range(3)]
+        pids = [int(wait_for_line(parent.stdout, "pid ").split()[1]) for _ in range(3)]
         parent.kill()
     wait_until(
         lambda: all(is_gone(pid) for pid in pids),
@@ -197,8 +196,7 @@ def test_modules_and_their_children_die_when_their_parent_is_killed(
     with subprocess.Popen(
         [sys.executable, "-c", script], stdout=subprocess.PIPE, text=True
     ) as parent:
-        assert parent.stdout is not None
-        pids = [int(parent.stdout.readline()) for _ in range(3)]
+        pids = [int(wait_for_line(parent.stdout, "pid ").split()[1]) for _ in range(3)]
         parent.kill()
         parent.wait(5)
         killed_s = time.monotonic()

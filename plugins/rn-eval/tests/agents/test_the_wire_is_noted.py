@@ -26,6 +26,7 @@ from roboneuron import StateError
 
 SERVER = """
 import json, sys
+print("no message, but printed by a plugin", flush=True)
 for line in sys.stdin:
     try:
         message = json.loads(line)
@@ -69,11 +70,12 @@ def talk(tap: ServerTap, *messages: object) -> list[dict]:
         client.stdin.write(b"\n".join(lines) + b"\n")
         client.stdin.flush()
         wanted = sum(isinstance(message, dict) for message in messages)
-        answers = [json.loads(client.stdout.readline()) for _ in range(wanted)]
+        printed, *answers = [client.stdout.readline() for _ in range(1 + wanted)]
+        assert printed.startswith(b"no message")
         client.stdin.close()
         tap.close()
         client.wait(10)
-    return answers
+    return [json.loads(answer) for answer in answers]
 
 
 def call(number: int, tool: str, **arguments: object) -> dict:
@@ -91,7 +93,7 @@ def test_calls_errors_and_bytes_are_noted(tap):
     assert good.took_s >= 0
     assert (bad.code, bad.rule, bad.message) == ("refused", "zone", "No. Ask.")
     assert tap.list_bytes > 20
-    assert tap.bad_lines == 1
+    assert tap.bad_lines == 2  # one of the agent, one of the server
     assert tap.first_call_s("bad") == bad.at_s
     assert tap.first_call_s("other") is None
 

@@ -33,6 +33,8 @@ while True:
 # `LostPorts.look` gave back, or whether it heard three words within that many seconds.
 LISTENER = f"""
 import json, os, sys, time
+wire = os.dup(1)
+os.dup2(2, 1)  # Fast DDS warns on standard output
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from std_msgs.msg import String
@@ -63,7 +65,8 @@ def hears(within_s):
 
 for line in sys.stdin:
     name, argument = json.loads(line)
-    print(json.dumps({{"ports": ports, "look": look, "hears": hears}}[name](argument)), flush=True)
+    answer = {{"ports": ports, "look": look, "hears": hears}}[name](argument)
+    os.write(wire, json.dumps(answer).encode() + b"\\n")
 """
 
 

@@ -189,17 +189,22 @@ def _end_group(group: int) -> None:
 
 def read_results(output: str, lost: str, *, timed_out: bool) -> list[CheckedRow]:
     """Parse the worker's lines; the rule that was started but not decided gets the loss as its
-    result.
+    result, and so does the check if a line is broken.
     """
     results: list[CheckedRow] = []
     begun: dict[str, str] | None = None
     for line in output.splitlines():
-        entry: dict[str, str] = json.loads(line)
-        if "verdict" in entry:
-            results.append(CheckedRow(**entry))
-            begun = None
-        else:
-            begun = entry
+        try:
+            entry: dict[str, str] = json.loads(line)
+            if "verdict" in entry:
+                results.append(CheckedRow(**entry))
+                begun = None
+            else:
+                begun = {key: entry[key] for key in ("subject", "rule", "text")}
+        except (ValueError, TypeError, KeyError):
+            lost = lost or f"a line of the check is broken: {line[:200]!r}"
+    if begun is not None:
+        lost = lost or "the process ended within this rule, without an error"
     if lost:
         place = begun or {
             "subject": "check",

@@ -80,7 +80,7 @@ class Conduct(BaseModel):
         words: the agent's last words, at most 8000 characters.
         list_bytes: size of all answers to tools/list.
         other_messages: number of requests and notifications other than tool calls.
-        bad_lines: number of lines from the agent that were no valid message.
+        bad_lines: number of lines, of the agent or the server, that were no valid message.
         ended: how its process ended: "exited", "failed" or "timed out".
         wall_s: from its start to its end [s].
     """

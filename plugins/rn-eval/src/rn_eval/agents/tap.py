@@ -187,6 +187,8 @@ class ServerTap:
         assert server is not None
         assert server.stdout is not None
         for line in server.stdout:
+            if _message(line) is None:
+                self._count_bad()  # which the agent gets all the same
             sent = self._note_answer(line)
             with suppress(OSError):
                 link.sendall(sent)
@@ -194,13 +196,10 @@ class ServerTap:
             link.shutdown(socket.SHUT_RDWR)
 
     def _note_request(self, line: bytes, exchange: str = "") -> None:
-        try:
-            message = json.loads(line)
-        except ValueError:
-            self.bad_lines += bool(line.strip())
-            return
-        if not isinstance(message, dict):
-            self.bad_lines += 1
+        message = _message(line)
+        if message is None:
+            if line.strip():
+                self._count_bad()
             return
         number = exchange + json.dumps(message.get("id"))
         if message.get("method") == "tools/list":
@@ -224,17 +223,13 @@ class ServerTap:
 
     def _note_answer(self, line: bytes, exchange: str = "") -> bytes:
         """Record an answer, and return what the agent receives."""
-        try:
-            message = json.loads(line)
-        except ValueError:
-            return line
-        if not isinstance(message, dict):
+        message = _message(line)
+        if message is None:
             return line
         sent = line
         if self._sign and b'"image"' in line:
-            message = with_sign(message, self._sign)
-            sent = json.dumps(message, separators=(",", ":")).encode() + b"\n"
-        assert isinstance(message, dict)
+            signed = with_sign(message, self._sign)
+            sent = json.dumps(signed, separators=(",", ":")).encode() + b"\n"
         if "method" not in message:
             number = exchange + json.dumps(message.get("id"))
             if number in self._lists:
@@ -243,6 +238,10 @@ class ServerTap:
                 self.texts.note(self.texts.lists, message.get("result"))
             self._close_call(number, message, len(line))
         return sent
+
+    def _count_bad(self) -> None:
+        with self._lock:
+            self.bad_lines += 1
 
     def _close_call(self, number: str, message: Json, size: int) -> None:
         error = _error_of(message)
@@ -293,6 +292,15 @@ class ServerTap:
             self._thread.join(_END_S)
         if server.stdout is not None:
             server.stdout.close()
+
+
+def _message(line: bytes) -> Json | None:
+    """Parse a line of either side; None if it is no JSON object."""
+    try:
+        message = json.loads(line)
+    except (ValueError, RecursionError):
+        return None
+    return message if isinstance(message, dict) else None
 
 
 def _error_of(message: Json) -> dict[str, str]:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import sys
 import time
 from collections.abc import Callable
@@ -28,6 +29,13 @@ from rclpy.qos import QoSProfile
 from rn_standard.tools_ros.interfaces import LOSSLESS, MessageInterface, load_interface
 
 QOS = QoSProfile(depth=10)
+WIRE = os.dup(1)
+os.dup2(2, 1)  # Fast DDS warns on standard output
+
+
+def write_line(value: dict[str, Any]) -> None:
+    with open(WIRE, "w", encoding="utf-8", closefd=False) as wire:
+        wire.write(json.dumps(value) + "\n")
 
 
 def topic(name: str) -> str:
@@ -35,10 +43,7 @@ def topic(name: str) -> str:
 
 
 def report(name: str, part: str, message: Any, interface: MessageInterface) -> None:
-    print(
-        json.dumps({"name": name, "part": part, "value": interface.decode(message, LOSSLESS)}),
-        flush=True,
-    )
+    write_line({"name": name, "part": part, "value": interface.decode(message, LOSSLESS)})
 
 
 def make(part: MessageInterface, seed: int) -> Any:
@@ -129,12 +134,12 @@ def main() -> None:
 
     if role == "serve":
         serve(node, names, seed)
-        print(json.dumps({"ready": len(names)}), flush=True)
+        write_line({"ready": len(names)})
         with contextlib.suppress(ExternalShutdownException):
             executor.spin()
     else:
         send(node, names, seed, spin)
-        print(json.dumps({"sent": len(names)}), flush=True)
+        write_line({"sent": len(names)})
         sys.stdin.readline()
     rclpy.try_shutdown()
 

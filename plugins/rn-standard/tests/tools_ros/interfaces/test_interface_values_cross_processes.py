@@ -47,14 +47,14 @@ class Child:
 
     def __init__(self, process: subprocess.Popen[str]) -> None:
         self._process = process
-        self._lines: Queue[dict[str, Any]] = Queue()
+        self._lines: Queue[str] = Queue()
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
 
     def _read(self) -> None:
         assert self._process.stdout is not None
         for line in self._process.stdout:
-            self._lines.put(json.loads(line))
+            self._lines.put(line)
 
     def join(self) -> None:
         """Wait until the process's output has ended."""
@@ -62,11 +62,12 @@ class Child:
 
     def next(self, timeout_s: float) -> dict[str, Any]:
         try:
-            return self._lines.get(timeout=timeout_s)
+            line = self._lines.get(timeout=timeout_s)
         except Empty:
             raise AssertionError(
                 f"nothing within {timeout_s} s, exit code {self._process.poll()}"
             ) from None
+        return dict(json.loads(line))
 
 
 @contextmanager
