@@ -15,13 +15,22 @@ from roboneuron.server.tool import CallContext, NoArguments, Result, Tool
 
 @dataclass
 class WaitingTool:
-    """The tool `slow`, which works until it is cancelled."""
+    """The tool `slow`, which works until it is cancelled.
+
+    Attributes:
+        ends: number of cancellations.
+    """
 
     begun: threading.Event = field(default_factory=threading.Event)
     cancelled: threading.Event = field(default_factory=threading.Event)
+    ends: int = 0
 
     async def handle(self, _: NoArguments, context: CallContext) -> Result:
-        return await context.run(self._work, on_cancel=self.cancelled.set)
+        return await context.run(self._work, on_cancel=self._on_cancel)
+
+    def _on_cancel(self) -> None:
+        self.ends += 1
+        self.cancelled.set()
 
     def _work(self, _: Any) -> Result:
         self.begun.set()

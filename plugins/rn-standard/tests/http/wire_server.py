@@ -46,6 +46,11 @@ class Server:
         # verify: every call makes a client, and to load the certificates took most of its time
         return httpx2.post(self.url, json=body, headers=sent, timeout=30, verify=False)
 
+    def notify(self, method: str, params: Any, **headers: str) -> httpx2.Response:
+        body = {"jsonrpc": "2.0", "method": method, "params": params}
+        sent = {"Accept": "application/json, text/event-stream", **headers}
+        return httpx2.post(self.url, json=body, headers=sent, timeout=30, verify=False)
+
     def open_session(self, **headers: str) -> dict[str, str]:
         """Headers of a session that is open."""
         answer = self.post(0, "initialize", HELLO, **headers)

@@ -7,15 +7,14 @@ one token cannot be used with another.
 
 from __future__ import annotations
 
-from anyio import to_thread
 from mcp.server.auth.middleware.bearer_auth import AuthenticatedUser, BearerAuthBackend
 from mcp.server.auth.provider import AccessToken, TokenVerifier
 from starlette.authentication import AuthCredentials, AuthenticationBackend, AuthenticationError
 from starlette.requests import HTTPConnection
 
-from rn_standard.http.connections import PROTOCOL_KEY, BoundedProtocol, ConnectionTable
+from rn_standard.http.connections import ConnectionTable
 from rn_standard.http.local_clients import account_of
-from rn_standard.http.peers import peer_process
+from rn_standard.http.peers import process_of, protocol_of
 from rn_standard.http.sessions import SESSION_HEADER
 from rn_standard.http.tokens import TokenTable
 from roboneuron.feature import Holder
@@ -80,7 +79,7 @@ class LocalBackend(AuthenticationBackend):
             # before the look-up of its process, which takes milliseconds
             self._connections.keep(protocol)
         session = conn.headers.get(SESSION_HEADER)
-        name = await _process_of(conn, protocol) if session is None else session_name(session)
+        name = await process_of(conn) if session is None else session_name(session)
         user = AuthenticatedUser(_access_token(Holder.local(name)))
         return AuthCredentials(user.scopes), user
 
@@ -93,12 +92,6 @@ def holder_of(user: AuthenticatedUser) -> Holder:
     return Holder(who=token.client_id, role=token.scopes[0])
 
 
-def protocol_of(conn: HTTPConnection) -> BoundedProtocol | None:
-    """The connection of a request; None on another server than BoundedServer."""
-    found = conn.scope.get("state", {}).get(PROTOCOL_KEY)
-    return found if isinstance(found, BoundedProtocol) else None
-
-
 def session_name(session: str) -> str:
     """Name of a client without a token, from its session."""
     return f"session {''.join(c for c in session[:8] if c.isalnum())}"
@@ -107,14 +100,3 @@ def session_name(session: str) -> str:
 def _access_token(holder: Holder) -> AccessToken:
     claims = {_CLIENT: holder.client} if Holder.is_local(holder.who) else None
     return AccessToken(token="", client_id=account_of(holder), scopes=[holder.role], claims=claims)
-
-
-async def _process_of(conn: HTTPConnection, protocol: BoundedProtocol | None) -> str:
-    """ "pid 123" for the process at the other end of a loopback connection; empty if unknown."""
-    if protocol is None or conn.client is None:
-        return ""
-    if protocol.peer is None:
-        own_port = int(conn.scope["server"][1])
-        pid = await to_thread.run_sync(peer_process, conn.client.port, own_port)
-        protocol.peer = f"pid {pid}" if pid else ""
-    return protocol.peer

@@ -16,11 +16,12 @@ from starlette.requests import HTTPConnection
 from starlette.responses import JSONResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from rn_standard.http.authentication import LocalBackend, TokenBackend, holder_of, protocol_of
+from rn_standard.http.authentication import LocalBackend, TokenBackend, holder_of
 from rn_standard.http.connection_loss import RequestConnection
 from rn_standard.http.connections import ConnectionTable
 from rn_standard.http.local_clients import account_of
 from rn_standard.http.origins import HostRules
+from rn_standard.http.peers import protocol_of
 from rn_standard.http.tokens import TokenTable
 from rn_standard.stdio.envelope import EnvelopeError, is_urgent
 from roboneuron.feature import Holder

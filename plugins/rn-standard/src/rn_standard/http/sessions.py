@@ -1,5 +1,5 @@
 """Sessions of the 2025 protocols over HTTP: a share for each holder, and unique ids of requests in
-progress.
+progress. Requests of later protocols pass through; they can be cancelled.
 """
 
 from __future__ import annotations
@@ -12,11 +12,15 @@ from dataclasses import dataclass, field
 from mcp.server.context import CallNext, HandlerResult, ServerRequestContext
 from mcp.server.streamable_http import GET_STREAM_KEY
 from mcp.server.transport_security import RequestBodyLimitMiddleware
+from mcp.shared.inbound import MCP_PROTOCOL_VERSION_HEADER
+from mcp_types import HEADER_MISMATCH, PROTOCOL_VERSION_META_KEY
+from mcp_types.version import HANDSHAKE_PROTOCOL_VERSIONS
 from pydantic_core import from_json
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from rn_standard.http.cancellation import OpenRequest, OpenRequests
 from rn_standard.http.local_clients import account_of
 from rn_standard.stdio.envelope import EnvelopeError
 from roboneuron.feature import Holder
@@ -80,6 +84,7 @@ class Sessions:
         self._most_of_one = most_of_one
         self._on_end = on_end
         self._sessions: dict[str, _HttpSession] = {}
+        self._without = OpenRequests()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         is_post = scope["type"] == "http" and scope["method"] == "POST"
@@ -93,16 +98,36 @@ class Sessions:
         try:
             if scope["method"] == "POST":
                 message = await receive()
-                request_id = _request_id(message.get("body", b""))
-                receive = _again(message, receive)
+                posted = _parsed(message.get("body", b""))
+                await self._serve_posted(scope, _again(message, receive), send, posted)
             else:
-                request_id = None
-            await self._serve_session(scope, receive, send, request_id)
+                await self._serve_session(scope, receive, send, None)
         except EnvelopeError as error:
             status = 503 if error.error["code"] == EnvelopeError.BUSY else 400
             await Response(error.answer, status_code=status, media_type="application/json")(
                 scope, receive, send
             )
+
+    async def _serve_posted(
+        self, scope: Scope, receive: Receive, send: Send, posted: dict[str, object]
+    ) -> None:
+        headers = Headers(scope=scope)
+        has_session = SESSION_HEADER in headers and _is_of_sessions(headers)
+        method, request_id = posted.get("method"), posted.get("id")
+        if method == "notifications/cancelled" and not has_session:
+            await self._without.cancel(posted.get("params"), scope)
+            await Response(status_code=202)(scope, receive, send)
+            return
+        _check_version(posted, headers)
+        if method is None or not isinstance(request_id, int | str):
+            await self._serve_session(scope, receive, send, None)
+        elif has_session or _is_of_sessions(headers):
+            await self._serve_session(scope, receive, send, request_id)
+        else:
+            request = OpenRequest(request_id, scope, receive, send)
+            with self._without.opened(request):
+                await self._app(scope, request.receive, request.send)
+                await request.settle()
 
     async def _serve_session(
         self, scope: Scope, receive: Receive, send: Send, request_id: int | str | None
@@ -125,7 +150,7 @@ class Sessions:
             await send(message)
 
         if name is None and request_id is not None:
-            self._check_share(scope, account_of(holder))
+            self._check_share(account_of(holder))
         if session is not None:
             session.open += 1
         try:
@@ -137,11 +162,10 @@ class Sessions:
                 session.open -= 1
                 session.used_s = time.monotonic()
 
-    def _check_share(self, scope: Scope, holder: str) -> None:
+    def _check_share(self, holder: str) -> None:
         """Raise EnvelopeError if a holder would open one session too many."""
-        version = Headers(scope=scope).get("mcp-protocol-version", "")
         count = sum(session.holder == holder for session in self._sessions.values())
-        if count >= self._most_of_one and version < "2026":
+        if count >= self._most_of_one:
             raise EnvelopeError(
                 EnvelopeError.BUSY,
                 f"{holder!r} has {count} sessions open already; end one, or use those.",
@@ -188,19 +212,44 @@ def _begin(session: _HttpSession, request_id: int | str) -> _SessionRequest:
     return request
 
 
-def _request_id(body: bytes) -> int | str | None:
-    """The id of a request; None for other messages, or for bodies that the SDK will refuse.
+def _parsed(body: bytes) -> dict[str, object]:
+    """A posted message; empty for a body that the SDK will refuse.
 
     Raises:
-        EnvelopeError: its id is invalid.
+        EnvelopeError: it is a request with an invalid id.
     """
     try:
         raw = from_json(body)
     except ValueError:
-        return None
+        return {}
     EnvelopeError.raise_for_id(raw)
-    is_request = isinstance(raw, dict) and "method" in raw
-    return raw.get("id") if is_request else None
+    return raw if isinstance(raw, dict) else {}
+
+
+def _is_of_sessions(headers: Headers) -> bool:
+    """True unless the header names a protocol without sessions."""
+    return headers.get(MCP_PROTOCOL_VERSION_HEADER) in (None, *HANDSHAKE_PROTOCOL_VERSIONS)
+
+
+def _check_version(posted: dict[str, object], headers: Headers) -> None:
+    """Raise EnvelopeError if header and body of a message name different protocols, of which one
+    has no sessions: the SDK goes by the header alone, and would miss a session.
+
+    Source: protocol 2026-07-28, basic/transports/streamable-http, Protocol Version Header.
+    """
+    params = posted.get("params")
+    meta = params.get("_meta") if isinstance(params, dict) else None
+    body = meta.get(PROTOCOL_VERSION_META_KEY) if isinstance(meta, dict) else None
+    header = headers.get(MCP_PROTOCOL_VERSION_HEADER)
+    is_known = body in HANDSHAKE_PROTOCOL_VERSIONS and _is_of_sessions(headers)
+    if isinstance(body, str) and body != header and not is_known:
+        named = "is missing" if header is None else f"says {header[:40]!r}"
+        raise EnvelopeError(
+            HEADER_MISMATCH,
+            f"Header mismatch: the header MCP-Protocol-Version {named}, the body's _meta says "
+            f"{body[:40]!r}; both must name the same protocol.",
+            posted.get("id"),
+        )
 
 
 def _again(message: Message, receive: Receive) -> Receive:
