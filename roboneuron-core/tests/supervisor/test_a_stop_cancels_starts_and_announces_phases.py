@@ -5,6 +5,7 @@ No process is started: modules are scripted, on a test clock.
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 
 import pytest
@@ -88,25 +89,36 @@ def test_a_replacement_that_is_being_started_is_cancelled_too(world: World) -> N
         beside.check_not_cancelled()
 
 
-def test_a_cancelled_start_is_not_waited_for(world: World) -> None:
-    assert not world.supervisor.cancel("robot", "because")
+def test_a_cancelled_start_raises_at_its_next_look(world: World) -> None:
     slot = world.starting("robot")
-    assert world.supervisor.cancel("robot", "because")
+    assert slot.cancel("because")
     with pytest.raises(StateError, match="The start of robot was cancelled: because"):
         slot.check_not_cancelled()
 
 
-def test_the_newest_start_alone_is_cancelled(world: World) -> None:
+def test_a_cancelled_call_ends_its_own_start_alone(world: World) -> None:
     """A starting replacement does not end the working module."""
     world.starting("control")
-    beside = Slot("control", world.supervisor.changes)
+    beside, halt = Slot("control", world.supervisor.changes), threading.Event()
     world.supervisor.slots["control"].append(beside)
     working = world.supervisor.slot("control")
-    beside.begin_start(working.plan, working.settings)  # type: ignore[arg-type]
-    assert world.supervisor.cancel("control", "because")
-    world.supervisor.slot("control").check_not_cancelled()
-    with pytest.raises(StateError, match="because"):
+    beside.begin_start(working.plan, working.settings, halt)  # type: ignore[arg-type]
+    beside.check_not_cancelled()
+    halt.set()
+    working.check_not_cancelled()
+    with pytest.raises(StateError, match="its call was cancelled"):
         beside.check_not_cancelled()
+
+
+def test_a_call_that_is_cancelled_before_its_start_starts_nothing(world: World) -> None:
+    """The cancellation comes while the plan is still being checked."""
+    halt = threading.Event()
+    halt.set()
+    plan = fake_plan("robot", world._make_config())
+    with pytest.raises(StateError, match="its call was cancelled"):
+        world.supervisor.start(plan, halt=halt)
+    assert world.supervisor.slot("robot").phase == "stopped"
+    assert world.supervisor.slot("robot").process is None
 
 
 def test_a_running_module_is_not_cancelled(world: World) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from itertools import pairwise
@@ -92,14 +93,14 @@ def refused(
     switching: Switching,
     error: type[RoboNeuronError],
     on_stage: Callable[[str], None],
+    halt: threading.Event | None = None,
     **options: object,
 ) -> str:
     """Message of a warm switch to "second" that must fail and leave the present process at work."""
     before = switching.loop.modules.view("inference").process
+    request = StartChosenInference(backend="second", options=options)
     with pytest.raises(error) as caught:
-        switching.switch(
-            "inference", StartChosenInference(backend="second", options=options), "warm", on_stage
-        )
+        switching.switch("inference", request, "warm", on_stage, halt=halt)
     after = switching.loop.modules.view("inference")
     assert before is not None
     assert after.process is before
@@ -124,11 +125,14 @@ def test_what_fails_before_its_turn_changes_nothing(
 
     assert "signal 9" in refused(switching, NotReadyError, kill_new)
 
-    def cancel(stage: str) -> None:
-        if stage == "new inference: configuring":
-            loop.cancel("inference")
+    for late in ("new inference: configuring", STAGES["comparing"]):
+        halt = threading.Event()
 
-    assert "cancelled" in refused(switching, StateError, cancel)
+        def cancel(stage: str, halt: threading.Event = halt, late: str = late) -> None:
+            if stage == late:
+                halt.set()
+
+        assert "cancelled" in refused(switching, StateError, cancel, halt)
     (tmp_path / "fail").touch()
     assert "fell over" in refused(
         switching, RoboNeuronError, quiet, fail_file=str(tmp_path / "fail")

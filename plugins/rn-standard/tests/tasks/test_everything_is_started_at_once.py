@@ -45,7 +45,7 @@ class FakeLoop:
         for kind in MODULE_KINDS:
             setattr(self, kind, object() if kind in configured else None)
         self.slots = self.phases = dict.fromkeys(MODULE_KINDS, "stopped")
-        self.cancelled = {kind: threading.Event() for kind in MODULE_KINDS}
+        self.halt = threading.Event()
         self.stopped: list[str] = []
         self.begin: Callable[[str], None] = lambda kind: None
         self.refuses = ""
@@ -65,21 +65,20 @@ class FakeLoop:
             raise InvalidInputError(f"{kind} is refused")
         return FakeSelection(kind)
 
-    def start_selected(self, selection: FakeSelection, on_stage: Any) -> None:
+    def start_selected(
+        self, selection: FakeSelection, on_stage: Any, halt: threading.Event
+    ) -> None:
+        self.halt = halt
         self.phases[selection.kind] = "starting"
         try:
             self.begin(selection.kind)
         except NotReadyError:
             self.phases[selection.kind] = "stopped"
             raise
-        if self.cancelled[selection.kind].is_set():
+        if halt.is_set():
             self.phases[selection.kind] = "stopped"
             raise StateError(f"The start of {selection.kind} was cancelled.")
         self.phases[selection.kind] = "running"
-
-    def cancel(self, kind: str, reason: str) -> bool:
-        self.cancelled[kind].set()
-        return True
 
     def stop(self, kind: str) -> None:
         self.stopped.append(kind)
@@ -134,7 +133,7 @@ def test_a_failure_of_one_cancels_the_others_and_stops_what_had_started() -> Non
             raise NotReadyError("no weights")
         if kind == "perception":  # still starting when inference fails
             perception_begins.set()
-            assert loop.cancelled[kind].wait(BOUND_S)
+            assert loop.halt.wait(BOUND_S)
 
     loop.begin = begin
     with pytest.raises(NotReadyError, match="no weights"):
@@ -158,7 +157,7 @@ def test_a_cancelled_call_leaves_nothing() -> None:
     def begin(kind: str) -> None:
         if kind == "robot":
             start.cancel()
-        assert loop.cancelled[kind].wait(BOUND_S)
+        assert loop.halt.wait(BOUND_S)
 
     loop.begin = begin
     with pytest.raises(StateError, match="cancelled"):
@@ -172,7 +171,7 @@ def test_a_start_of_somebody_else_is_not_disturbed(phase: str) -> None:
     loop.phases["perception"] = phase
     with pytest.raises(StateError, match="perception is"):
         start_of(loop).run(lambda text: None)
-    assert not any(event.is_set() for event in loop.cancelled.values())
+    assert not loop.halt.is_set()
 
 
 def test_an_instruction_goes_to_the_named_model() -> None:

@@ -7,6 +7,7 @@ from __future__ import annotations
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
@@ -218,15 +219,21 @@ class ClosedLoop:
         request: Arguments | None = None,
         on_stage: Stage = lambda stage: None,
         role: str = "",
+        halt: threading.Event | None = None,
     ) -> ModuleView:
         """Start a module for a client with `role`; as configured without a request or arguments.
+
+        Args:
+            halt: set when the client cancels its call; nothing that was started is left then.
 
         Raises:
             RoboNeuronError: as `select` and `Supervisor.start`.
         """
-        return self.start_selected(self.select(kind, request, role), on_stage)
+        return self.start_selected(self.select(kind, request, role), on_stage, halt)
 
-    def start_selected(self, plan: Plan, on_stage: Stage) -> ModuleView:
+    def start_selected(
+        self, plan: Plan, on_stage: Stage, halt: threading.Event | None = None
+    ) -> ModuleView:
         """Start a plan returned by `select`. An instruction in it counts as a start of motion.
         Raises as `Supervisor.start`.
         """
@@ -240,11 +247,15 @@ class ClosedLoop:
             if text:
                 self.starts.permit()
             ticket = self.starts.begin(text)
-        self._supervisor.start(plan, on_stage)
+        self._supervisor.start(plan, on_stage, halt=halt)
         if kind == "inference":
             self.starts.follow(self._supervisor.slot(kind), ticket)
         else:
             self.starts.arm_started()  # motion may have been requested during the start
+        if halt is not None and halt.is_set():  # after the last check of the start itself
+            with suppress(StateError):  # stopped by another client
+                self.stop(kind)
+            raise StateError(f"The start of {kind} was cancelled: its call was cancelled.")
         return self.modules.view(kind)
 
     def launch(
@@ -252,11 +263,12 @@ class ClosedLoop:
         plan: Plan,
         on_stage: Stage = lambda stage: None,
         beside: Slot | None = None,
+        halt: threading.Event | None = None,
     ) -> None:
         """Start a process without a start of motion: again after its end, or in a slot beside the
         working module. Raises as `Supervisor.start`.
         """
-        self._supervisor.start(plan, on_stage, beside)
+        self._supervisor.start(plan, on_stage, beside, halt)
 
     def end(self, ended: Slot | ModuleKind) -> Stopped:
         """End the process in a slot, or the module of a kind and a start in progress, for a
@@ -293,10 +305,6 @@ class ClosedLoop:
             return self._supervisor.stop_all()
         finally:
             self.starts.stop("robot", "everything was stopped", is_asked=True)
-
-    def cancel(self, kind: ModuleKind, reason: str = "the client cancelled the call.") -> None:
-        """Cancel a start on behalf of the client that requested it."""
-        self._supervisor.cancel(kind, reason)
 
     def set_parameters(
         self,

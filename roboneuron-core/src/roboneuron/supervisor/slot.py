@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Mapping
 from typing import Literal
@@ -54,14 +55,18 @@ class Slot:
         self.report: Report | None = None
         self.started_s = 0.0
         self._cancelled = ""
+        self._halt: threading.Event | None = None
         self._changes = changes
 
-    def begin_start(self, plan: Plan, settings: ModuleSettings) -> None:
+    def begin_start(
+        self, plan: Plan, settings: ModuleSettings, halt: threading.Event | None = None
+    ) -> None:
         """Claim the slot for a start.
 
         Args:
             plan: what is started.
             settings: settings for its process.
+            halt: set when the client cancels its call, before the start as well.
 
         Raises:
             StateError: the slot is occupied; the message says by what.
@@ -76,7 +81,7 @@ class Slot:
             self.phase, self.plan, self.settings = "starting", plan, settings
             self.started_s = time.monotonic()
             self.process = self.report = None
-            self._cancelled = ""
+            self._cancelled, self._halt = "", halt
         self._changes.notify()
 
     @property
@@ -152,8 +157,11 @@ class Slot:
         Raises:
             StateError: it was; the message says why.
         """
-        if self._cancelled:
-            raise StateError(f"The start of {self.kind} was cancelled: {self._cancelled}")
+        reason = self._cancelled
+        if not reason and self._halt is not None and self._halt.is_set():
+            reason = "its call was cancelled."
+        if reason:
+            raise StateError(f"The start of {self.kind} was cancelled: {reason}")
 
     def check_running(self, hint: str = "") -> None:
         """Raise StateError with the reason and `hint` unless the module runs."""

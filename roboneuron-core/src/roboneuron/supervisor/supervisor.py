@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import math
 import os
+import threading
 import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -129,6 +130,7 @@ class Supervisor(Modules):
         plan: Plan,
         on_stage: Stage = lambda stage: None,
         beside: Slot | None = None,
+        halt: threading.Event | None = None,
     ) -> ModuleView:
         """Spawn, configure, activate, and wait for readiness; a failed start leaves nothing behind.
 
@@ -137,6 +139,7 @@ class Supervisor(Modules):
             on_stage: called with a phrase at each stage of the start.
             beside: one of `slots` other than the first: the module starts there, in shadow, while
                 another one works.
+            halt: set when the client cancels its call, which cancels the start.
 
         Raises:
             StateError: it is already running, or the start was cancelled.
@@ -160,10 +163,11 @@ class Supervisor(Modules):
             if beside is not None:
                 settings = self._in_shadow(settings, working)
             slot = beside or working
-            slot.begin_start(plan, settings)
+            slot.begin_start(plan, settings, halt)
         self.heartbeat.start()
         bringup = Bringup(slot, plan, settings, self, self.parameters, on_stage)
         with bringup.settled():
+            slot.check_not_cancelled()
             bringup.check_robot()
             bringup.prove(self._spawn(settings))
         return self.view(kind)
@@ -251,17 +255,6 @@ class Supervisor(Modules):
             StateError: it is not running.
         """
         return self._finish({slot: slot.begin_stop()})[0]
-
-    def cancel(self, kind: ModuleKind, reason: str) -> bool:
-        """Cancel a start in progress without waiting for its end; return True if there was one.
-
-        Args:
-            kind: kind of the module; its successor is considered first.
-            reason: for the caller that requested the start.
-        """
-        with self.changes.lock:
-            slots = tuple(reversed(self.slots[kind]))
-        return any(slot.cancel(reason) for slot in slots)
 
     def stop_all(self, within_s: float = math.inf) -> list[Stopped]:
         """Stop everything in the reverse order of starting; never raises for what is not running.

@@ -4,6 +4,7 @@ discarded.
 
 from __future__ import annotations
 
+import threading
 from contextlib import suppress
 
 from roboneuron import StateError
@@ -26,8 +27,11 @@ class Standbys:
         with self._modules.changes.lock:
             return tuple(self._modules.slots[kind])
 
-    def start(self, plan: Plan, on_stage: Stage) -> Slot:
+    def start(self, plan: Plan, on_stage: Stage, halt: threading.Event | None = None) -> Slot:
         """Start a second process in shadow of the running one; `adopt` or `discard` it afterwards.
+
+        Args:
+            halt: cancels the start when it is set.
 
         Raises:
             StateError: no module of that kind runs, or there is a standby already.
@@ -44,7 +48,7 @@ class Standbys:
                 )
             modules.slots[kind].append(standby)
         try:
-            self._loop.launch(plan, on_stage, beside=standby)
+            self._loop.launch(plan, on_stage, beside=standby, halt=halt)
         except BaseException:
             self._forget(standby)
             raise

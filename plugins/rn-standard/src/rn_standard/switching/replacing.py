@@ -10,7 +10,7 @@ from typing import Literal
 from rn_standard.selection.requests import StartChosenInference, StartPerception
 from rn_standard.switching.in_place import AccelerationSwitch, differs_in_acceleration_only
 from rn_standard.switching.switch_checks import CHECKS, SwitchCheck
-from rn_standard.switching.warm_switch import ARRIVAL_S, Change, WarmSwitch
+from rn_standard.switching.warm_switch import ARRIVAL_S, Change, WarmSwitch, check_goes_on
 from roboneuron import Arguments, InvalidInputError, RoboNeuronError, StateError
 from roboneuron.feature import (
     KIND_ENTRIES,
@@ -69,12 +69,16 @@ class Switching:
         mode: SwitchMode = "warm",
         on_stage: Stage = lambda stage: None,
         role: str = "",
+        halt: threading.Event | None = None,
     ) -> Switched:
         """Replace the running module of a kind, on the same topics.
 
         The instruction of a backend and the cameras of a source are kept unless the request names
         others. Errors that can be detected beforehand are raised while the old module works; after
         a failed warm switch it continues.
+
+        Args:
+            halt: set when the client cancels its call, which fails the switch until the handover.
 
         Raises:
             StateError: no module is running.
@@ -90,10 +94,14 @@ class Switching:
             self.loop.check(plan)
         if kind == "control":
             check_same_commands(old, plan)
-        return self._replace(old, plan, mode, on_stage, ticket)
+        return self._replace(old, plan, mode, on_stage, ticket, halt)
 
     def roll_back(
-        self, kind: ModuleKind, mode: SwitchMode = "warm", on_stage: Stage = lambda stage: None
+        self,
+        kind: ModuleKind,
+        mode: SwitchMode = "warm",
+        on_stage: Stage = lambda stage: None,
+        halt: threading.Event | None = None,
     ) -> Switched:
         """Return to the plan before the last switch; a backend keeps the present instruction.
 
@@ -111,10 +119,16 @@ class Switching:
         if kind == "inference":
             plan = with_instruction(plan, self.loop.starts.instruction)
         self.loop.check(plan)
-        return self._replace(old, plan, mode, on_stage, ticket)
+        return self._replace(old, plan, mode, on_stage, ticket, halt)
 
     def _replace(
-        self, old: ModuleView, plan: Plan, mode: SwitchMode, on_stage: Stage, ticket: int
+        self,
+        old: ModuleView,
+        plan: Plan,
+        mode: SwitchMode,
+        on_stage: Stage,
+        ticket: int,
+        halt: threading.Event | None,
     ) -> Switched:
         started_s = time.monotonic()
         if not self._busy[old.kind].acquire(blocking=False):
@@ -125,7 +139,7 @@ class Switching:
             replaced = old.plan
             if replaced is None:
                 raise StateError(f"It is not known what {old.kind} was started with.")
-            way, change = self._change(old, replaced, plan, mode, on_stage, ticket)
+            way, change = self._change(old, replaced, plan, mode, on_stage, ticket, halt)
             self._before[old.kind] = replaced
         finally:
             self._busy[old.kind].release()
@@ -145,13 +159,15 @@ class Switching:
         mode: SwitchMode,
         on_stage: Stage,
         ticket: int,
+        halt: threading.Event | None,
     ) -> tuple[SwitchWay, Change]:
+        check_goes_on(halt)
         if mode == "warm" and differs_in_acceleration_only(old, plan):
             return "in place", AccelerationSwitch(self.loop, plan, on_stage).run()
         check = CHECKS[old.kind](self.loop, plan)
         if mode == "warm":
-            return mode, WarmSwitch(self.loop, plan, check, on_stage, ticket).run()
-        return mode, self._cold(replaced, plan, check, on_stage, ticket)
+            return mode, WarmSwitch(self.loop, plan, check, on_stage, ticket, halt).run()
+        return mode, self._cold(replaced, plan, check, on_stage, ticket, halt)
 
     def _cold(
         self,
@@ -160,6 +176,7 @@ class Switching:
         check: SwitchCheck,
         on_stage: Stage,
         ticket: int,
+        halt: threading.Event | None,
     ) -> Change:
         """Stop the old module, then start the new one: for a machine or device without memory for
         both.
@@ -174,7 +191,7 @@ class Switching:
             plan = with_instruction(plan, self.loop.starts.instruction)
             due = due and bool(self.loop.starts.instruction)
         try:
-            self.loop.start_selected(plan, on_stage)
+            self.loop.start_selected(plan, on_stage, halt)
         except RoboNeuronError as error:
             before = ", ".join(f"{key} {name!r}" for key, name in replaced.names.items())
             raise error.with_hint(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal, TypeVar
@@ -131,12 +132,14 @@ def _switch_tool(
     loop: ClosedLoop, switching: Switching, kind: ModuleKind, text: _Text
 ) -> Tool[Switch]:
     async def handler(request: Switch, context: CallContext) -> SwitchResult:
+        halt = threading.Event()
+
         def work(stage: Stage) -> Switched:
             if request.rollback:
-                return switching.roll_back(kind, request.mode, stage)
-            return switching.switch(kind, request, request.mode, stage, context.role)
+                return switching.roll_back(kind, request.mode, stage, halt)
+            return switching.switch(kind, request, request.mode, stage, context.role, halt)
 
-        return switch_result(await context.run(work, on_cancel=lambda: loop.cancel(kind)))
+        return switch_result(await context.run(work, on_cancel=halt.set))
 
     return Tool(
         name=f"switch_{kind}",

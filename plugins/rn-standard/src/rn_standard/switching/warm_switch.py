@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import logging
 import math
+import threading
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -75,6 +76,12 @@ class Change:
     difference: float | None
 
 
+def check_goes_on(halt: threading.Event | None) -> None:
+    """Raise StateError if the client has cancelled its call."""
+    if halt is not None and halt.is_set():
+        raise StateError("The call was cancelled; nothing was replaced.")
+
+
 class WarmSwitch:
     """One switch; used once, on the caller's thread.
 
@@ -84,6 +91,7 @@ class WarmSwitch:
         check: check of its kind.
         on_stage: called with the progress.
         ticket: ticket of the instruction at the time of the request, see `MotionStarts`.
+        halt: set when the client cancels its call.
     """
 
     def __init__(
@@ -93,7 +101,9 @@ class WarmSwitch:
         check: SwitchCheck,
         on_stage: Stage,
         ticket: int = 0,
+        halt: threading.Event | None = None,
     ) -> None:
+        self._halt = halt
         self._starts = loop.starts
         self._ticket = ticket
         self._changes = loop.modules.changes
@@ -113,12 +123,13 @@ class WarmSwitch:
         Raises:
             RoboNeuronError: the reason why nothing was replaced; the old module acts as before.
         """
-        standby = self._standbys.start(self._plan, self._on_start)
+        standby = self._standbys.start(self._plan, self._on_start, self._halt)
         try:
             self._on_stage(f"new {self._kind}: comparing it in shadow with the old one")
             difference = self._check.compare(lambda: self._healthy(standby))
             self._await_listeners(standby)
             self._follow_instruction(standby)
+            check_goes_on(self._halt)
             old = self._hand_over(standby)
         except BaseException:
             self._standbys.discard(standby)

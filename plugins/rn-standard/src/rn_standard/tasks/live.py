@@ -75,7 +75,6 @@ class LiveCell:
         self._pid: int | None = None
         self._stops: int | None = None
         self._needed: tuple[ModuleKind, ...] = ()
-        self._starting = False
 
     def open(self) -> None:
         """Subscribe to the required topics; waits briefly for the cameras' first images.
@@ -143,22 +142,12 @@ class LiveCell:
     def _start_policy(self) -> None:
         """Start the policy without the configured instruction, which was not requested."""
         loop = self._host.loop
-        self._starting = True
-        try:
-            plan = loop.select("inference", StartChosenInference(options={}), self._role)
-            section = plan.config.inference
-            assert section is not None
-            section = section.model_copy(update={"instruction": ""})
-            config = plan.config.model_copy(update={"inference": section})
-            plan = replace(plan, config=config)
-            loop.start_selected(plan, self._stage)
-        finally:
-            self._starting = False
-
-    def cancel(self) -> None:
-        """Cancel a start of the policy in `begin`; callable from any thread, returns at once."""
-        if self._starting:
-            self._host.loop.cancel("inference")
+        plan = loop.select("inference", StartChosenInference(options={}), self._role)
+        section = plan.config.inference
+        assert section is not None
+        section = section.model_copy(update={"instruction": ""})
+        config = plan.config.model_copy(update={"inference": section})
+        loop.start_selected(replace(plan, config=config), self._stage, self._halt)
 
     def policy(self) -> PolicyState:
         """See `TaskRobot`."""

@@ -153,13 +153,11 @@ class TaskTool:
         await self._approval.ask("run_task", f"Let the robot carry out {instruction!r}?", context)
         plan = self._plan(arguments)
         halt = threading.Event()
-        holder: list[LiveCell] = []
 
         def work(stage: Stage) -> TaskEnd:
             cameras, why = self._cameras(predicate), lambda: self._arbiter.reason
             kind = SteppedCell if is_stepped(self._host.config) else LiveCell
             cell = kind(self._host, profile, context.role, stage, halt, why, topics, cameras)
-            holder.append(cell)
             with self._arbiter.claim(f"{instruction!r} of {context.who}", halt):
                 watch = self._watch(instruction)
                 try:
@@ -172,13 +170,8 @@ class TaskTool:
             self._ended(instruction, end)
             return end
 
-        def cancel() -> None:
-            halt.set()
-            for cell in holder:
-                cell.cancel()
-
         try:
-            end = await context.run(work, on_cancel=cancel, on_leave=cancel)
+            end = await context.run(work, on_cancel=halt.set, on_leave=halt.set)
         except RoboNeuronError as error:
             self._failed(instruction, error)
             raise

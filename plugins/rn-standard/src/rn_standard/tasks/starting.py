@@ -63,6 +63,7 @@ class ParallelStart:
         self._role = role
         self._lock = threading.Lock()
         self._failure: RoboNeuronError | None = None
+        self._halt = threading.Event()  # set with the failure
         self._took_s: dict[ModuleKind, float] = {}
         self._kinds: tuple[ModuleKind, ...] = ()
 
@@ -130,10 +131,7 @@ class ParallelStart:
         """Cancel the starts in progress; callable from any thread. `run` then stops the started
         modules, and raises.
         """
-        self._fail(
-            StateError("The start was cancelled: the client cancelled the call."),
-            "the client cancelled.",
-        )
+        self._fail(StateError("The start was cancelled: the client cancelled the call."))
 
     def _is_configured(self, kind: ModuleKind) -> bool:
         return kind in self._requests or getattr(self._loop.config, kind) is not None
@@ -146,14 +144,11 @@ class ParallelStart:
         try:
             with self._lock:
                 self._check()
-            self._loop.start_selected(plan, on_stage)
+            self._loop.start_selected(plan, on_stage, self._halt)
         except RoboNeuronError as error:
-            self._fail(error, f"{plan.kind} could not be started.")
+            self._fail(error)
         except BaseException as error:  # a thread's border; the others must end too
-            self._fail(
-                NotReadyError(f"{plan.kind} failed to start: {error!r}."),
-                f"{plan.kind} failed.",
-            )
+            self._fail(NotReadyError(f"{plan.kind} failed to start: {error!r}."))
             raise
         else:
             self._took_s[plan.kind] = time.monotonic() - began_s
@@ -161,14 +156,10 @@ class ParallelStart:
             if self._failure is not None:  # cancelled after the last check of the start itself
                 self._stop(plan.kind)
 
-    def _fail(self, error: RoboNeuronError, reason: str) -> None:
+    def _fail(self, error: RoboNeuronError) -> None:
         with self._lock:
-            first = self._failure is None
             self._failure = self._failure or error
-            kinds = self._kinds
-        if first:
-            for kind in kinds:
-                self._loop.cancel(kind, reason)
+        self._halt.set()
 
     def _undo(self, on_stage: Callable[[str], None]) -> None:
         for kind in reversed(self._kinds):

@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+import threading
 import time
 
-from roboneuron import InvalidInputError, NotReadyError
+from roboneuron import InvalidInputError, NotReadyError, StateError
 from roboneuron.feature import ClosedLoop, Report
 
 _PARAMETER_S = 5.0
 
 
-def give_instruction(loop: ClosedLoop, text: str, timeout_s: float) -> tuple[Report, float]:
+def give_instruction(
+    loop: ClosedLoop, text: str, timeout_s: float, halt: threading.Event | None = None
+) -> tuple[Report, float]:
     """Send the backend a new instruction; return after its first action for it was published, with
     the elapsed time [s].
 
+    Args:
+        halt: set when the client cancels its call: the instruction is withdrawn, the arm holds.
+
     Raises:
         InvalidInputError: the instruction is empty or refused by the module.
-        StateError: no backend is running, or a stop came meanwhile.
+        StateError: no backend is running, a stop came meanwhile, or the call was cancelled.
         RefusedError: the emergency stop is latched, so nothing would happen.
         UngroundedError: the backend cannot act on it; nothing moves.
         NotReadyError: no action in time; the message says what is missing.
@@ -28,13 +34,19 @@ def give_instruction(loop: ClosedLoop, text: str, timeout_s: float) -> tuple[Rep
     errors = before.error_count if before is not None else 0
     started_s = time.monotonic()
     stops = loop.starts.permit()
-    _, refused = loop.starts.give(text, _PARAMETER_S)
+    halt = halt or threading.Event()
+    if halt.is_set():
+        raise StateError("The call was cancelled; no instruction was given.")
+    ticket, refused = loop.starts.give(text, _PARAMETER_S)
     if refused:
         raise InvalidInputError(
             f"The backend refused the instruction: {refused}.", path="instruction"
         )
 
     def settled() -> Report | None:
+        if halt.is_set():
+            loop.starts.withdraw(ticket)
+            raise StateError("The call was cancelled; its instruction was withdrawn.")
         loop.starts.check(stops)
         report = loop.modules.require_running("inference").report
         if report is None or report.instruction_count <= count:

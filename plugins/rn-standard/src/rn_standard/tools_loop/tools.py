@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -119,8 +120,10 @@ def start_tools(loop: ClosedLoop) -> list[Tool]:
 
 def _set_instruction(loop: ClosedLoop) -> Tool:
     async def set_instruction(arguments: SetInstruction, context: CallContext) -> InstructionResult:
+        halt = threading.Event()
         report, took_s = await context.run(
-            lambda _: give_instruction(loop, arguments.instruction, arguments.timeout_s)
+            lambda _: give_instruction(loop, arguments.instruction, arguments.timeout_s, halt),
+            on_cancel=halt.set,
         )
         return InstructionResult(
             instruction=report.instruction, took_s=round(took_s, 3), note=report.note
@@ -149,10 +152,10 @@ def _start_tool(loop: ClosedLoop, kind: ModuleKind) -> Tool:
     which = f" The configured one is the {loop.robot_facts}." if entry.kind == "robot" else ""
 
     async def handler(request: Arguments, context: CallContext) -> StartResult:
-        started_s = time.monotonic()
+        started_s, halt = time.monotonic(), threading.Event()
         view = await context.run(
-            lambda stage: loop.start(entry.kind, request, stage, context.role),
-            on_cancel=lambda: loop.cancel(entry.kind),
+            lambda stage: loop.start(entry.kind, request, stage, context.role, halt),
+            on_cancel=halt.set,
         )
         return StartResult.short_of(view, took_s=round(time.monotonic() - started_s, 3))
 
