@@ -45,7 +45,8 @@ def learn_copies(scratch: Path) -> None:
     os.environ["XDG_DATA_HOME"] = str(scratch / "data")
     os.environ["XDG_CACHE_HOME"] = str(scratch / "cache")
     from rn_interfaces.finder import install
-    from rn_interfaces.learning import FoundDefinition, learn
+    from rn_interfaces.found import FoundDefinition, FoundDefinitions
+    from rn_interfaces.learning import learn
     from rn_interfaces.store import DefinitionStore, Name
 
     install()
@@ -56,7 +57,7 @@ def learn_copies(scratch: Path) -> None:
         )
         for word in WORDS
     }
-    learn(DefinitionStore(), texts)
+    learn(DefinitionStore(), FoundDefinitions(texts=texts))
 
 
 def least_us(rounds: int, calls: int, functions: Sequence[Callable[[], object]]) -> list[float]:

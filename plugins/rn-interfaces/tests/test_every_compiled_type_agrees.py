@@ -18,8 +18,8 @@ from made_messages import filled
 from rclpy.serialization import deserialize_message, serialize_message
 
 from rn_interfaces.codec import codec
-from rn_interfaces.definitions import by_package, used_by
-from rn_interfaces.generate import describe, write_classes
+from rn_interfaces.definitions import by_package, outline
+from rn_interfaces.generate import describe, write_class
 from rn_interfaces.store import Name
 
 SHARE = Path(sys.prefix) / "share"
@@ -85,7 +85,7 @@ def test_descriptions_and_classes_of_all_wheels_are_equal(tmp_path: Path) -> Non
 
 
 def _compare(names: list[Name], work: Path) -> None:
-    used = {one: used_by(one, (SHARE / one.file).read_text()) for one in names}
+    used = {one: outline(one, (SHARE / one.file).read_text()).used for one in names}
     packages = {path.name: path for path in SHARE.iterdir()}
     for chosen in by_package(used):
         package = chosen[0].package
@@ -93,7 +93,8 @@ def _compare(names: list[Name], work: Path) -> None:
         others = {name: path for name, path in packages.items() if name != package}
         with redirect_stdout(sys.stderr):
             describe(package, listed, SHARE, work, others)
-            write_classes(package, listed, work)
+            for name in listed:
+                write_class(package, name, work)
         for one in chosen:
             path = one.file.with_suffix(".json")
             assert json.loads((work / path).read_text()) == json.loads((SHARE / path).read_text())

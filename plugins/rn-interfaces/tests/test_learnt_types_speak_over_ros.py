@@ -169,7 +169,7 @@ def test_a_node_gives_the_definition_of_what_it_publishes(
     monkeypatch.setenv(PREFIXES, sys.prefix)  # another user has another store
     empty = DefinitionStore(tmp_path / "empty")
     found = ask_nodes(until_discovered(link, "/seam"), empty)
-    assert SEAM in found.texts, found.unanswered
+    assert SEAM in found.texts, found.refused
     assert found.texts[SEAM].text == store.text(SEAM)
     assert found.texts[SEAM].hashes[str(SEAM)] == hashes_here(store, SEAM)[str(SEAM)]
     assert not ask_nodes(NodeGraph(link), store).texts, "all of it is known"

@@ -87,8 +87,8 @@ def test_a_service_and_an_action_come_from_where_their_process_has_them(
     welder: NodeGraph, store: DefinitionStore, empty: DefinitionStore
 ) -> None:
     found = ask_nodes(welder, empty)
-    assert not found.unanswered
-    learnt = learn(empty, found.texts)
+    assert not found.refused
+    learnt = learn(empty, found)
     assert not learnt.refused
     assert {STRIKE, WELDING, Name("weld_msgs", "msg", "Seam")} == set(learnt.added)
     for name in (STRIKE, WELDING):
@@ -110,10 +110,10 @@ def test_another_definition_of_the_same_name_is_not_taken(
     learn(decoy, definitions(write_package(tmp_path / "changed", "weld_msgs", changed)))
     found = ask_nodes(welder, empty, lambda: [tmp_path, decoy.prefix])
     assert not found.texts
-    assert found.unanswered.keys() == {str(STRIKE), str(WELDING)}
-    assert "copy the folder share/weld_msgs" in found.unanswered[str(STRIKE)]
+    assert found.refused.keys() == {str(STRIKE), str(WELDING)}
+    assert "Copy the folder share/weld_msgs" in found.refused[str(STRIKE)].instead
     known = ask_nodes(welder, decoy, list)
-    assert known.unanswered.keys() == {str(STRIKE), str(WELDING)}, "it speaks another one"
+    assert known.refused.keys() == {str(STRIKE), str(WELDING)}, "it speaks another one"
 
 
 def test_compiled_services_and_actions_of_another_process_are_learnt(
@@ -138,6 +138,6 @@ def test_compiled_services_and_actions_of_another_process_are_learnt(
     with serving(nodes, tmp_path / "theirs", *words, prefix=sys.prefix):
         assert compiled.keys() <= uses(nodes).keys()
         found = ask_nodes(nodes, empty)
-    learnt = learn(empty, found.texts)
+    learnt = learn(empty, found)
     assert not learnt.refused
     assert {name: hashes_here(empty, name) for name in compiled} == compiled

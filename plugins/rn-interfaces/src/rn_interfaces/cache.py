@@ -8,21 +8,19 @@ import hashlib
 import json
 import os
 import shutil
-import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from rn_interfaces.asking import ask_each
 from rn_interfaces.description import TypeDescription, TypeSource
+from rn_interfaces.generate import FORM
 from rn_interfaces.store import KINDS, DefinitionStore, Name, parse_name, write
 from roboneuron import ConfigurationError
 
-_TIMEOUT_S = 60.0
-_EACH_S = 5.0
-"""Time limit for each interface, which takes 0.1 s on an idle machine."""
 PACKAGES = "packages"
 _OF_PACKAGE = '"""Interfaces made at run time."""\n'
 _OF_KIND = f"""{_OF_PACKAGE}
@@ -83,9 +81,16 @@ class Cache:
         """
         place = self._place(name)
         if not place.is_file():
-            used = {name, *filter(self._store.has, self._used(name))}
-            self._make({one: self._place(one) for one in used if not self._place(one).is_file()})
+            failed = self.make([name, *filter(self._store.has, self._used(name))])
+            for one, reason in failed.items():
+                raise ConfigurationError(f"{one} cannot be made: {reason}.")
         return place
+
+    def make(self, names: Iterable[Name]) -> dict[Name, str]:
+        """Make the files of those that have none; return why others cannot be made."""
+        places = {name: self._place(name) for name in {*names}}
+        lacking = {name: place for name, place in places.items() if not place.is_file()}
+        return self._make(lacking) if lacking else {}
 
     def describe(self, full_name: str) -> TypeDescription:
         """The description of an interface or of a part of one, such as
@@ -115,10 +120,11 @@ class Cache:
 
     def _place(self, name: Name) -> Path:
         idl = (self._store.share / name.file).with_suffix(".idl").read_text(encoding="utf-8")
-        digest = hashlib.sha256(f"{generators()} {name}\n{idl}".encode()).hexdigest()[:40]
+        made_by = f"{generators()} {FORM}"
+        digest = hashlib.sha256(f"{made_by} {name}\n{idl}".encode()).hexdigest()[:40]
         return self._folder / digest / f"_{lowered(name.word)}.py"
 
-    def _make(self, places: Mapping[Name, Path]) -> None:
+    def _make(self, places: Mapping[Name, Path]) -> dict[Name, str]:
         self._folder.mkdir(parents=True, exist_ok=True)
         with TemporaryDirectory(dir=self._folder, prefix=".new-") as scratch:
             work = Path(scratch)
@@ -126,11 +132,11 @@ class Cache:
                 for path in (name.file.with_suffix(".idl"), name.file.with_suffix(".json")):
                     (work / path).parent.mkdir(parents=True, exist_ok=True)
                     shutil.copyfile(self._store.share / path, work / path)
-            names = ", ".join(sorted(map(str, places)))
-            run_generators(work, [str(name) for name in sorted(places)], names)
-            for name, place in places.items():
-                made = work / name.package / name.kind / place.name
-                write(place, made.read_text(encoding="utf-8"))
+            failed = ask_each("rn_interfaces.generate", work, sorted(places))
+            for name in places.keys() - failed.keys():
+                made = work / name.package / name.kind / places[name].name
+                write(places[name], made.read_text(encoding="utf-8"))
+        return failed
 
 
 @cache
@@ -147,29 +153,3 @@ def lowered(word: str) -> str:
 
     found: str = convert_camel_case_to_lower_case_underscore(word)
     return found
-
-
-def run_generators(work: Path, names: list[str], what: str) -> None:
-    """Run the generators in a process of their own; see `rn_interfaces.generate.main`.
-
-    Raises
-    ------
-    ConfigurationError
-        They fail; with their last words.
-    """
-    bound_s = _TIMEOUT_S + _EACH_S * len(names)
-    command = [sys.executable, "-P", "-m", "rn_interfaces.generate", str(work)]
-    try:
-        subprocess.run(
-            command,
-            input="\n".join(names),
-            capture_output=True,
-            text=True,
-            timeout=bound_s,
-            check=True,
-        )
-    except subprocess.TimeoutExpired as error:
-        raise ConfigurationError(f"Making {what} took more than {bound_s:g} s.") from error
-    except subprocess.CalledProcessError as error:
-        last = (error.stderr.strip().splitlines() or ["without a word"])[-1]
-        raise ConfigurationError(f"{what} cannot be made: {last[:300]}") from error

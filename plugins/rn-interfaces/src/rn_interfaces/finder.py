@@ -48,7 +48,9 @@ def attach(module: str) -> tuple[Callable[[str], object], Callable[[], list[str]
         if not word.startswith("_") and word in finder.store.words(package, kind):
             from rn_interfaces.cache import lowered
 
-            return getattr(import_module(f"{module}._{lowered(word)}"), word)
+            found = getattr(import_module(f"{module}._{lowered(word)}"), word)
+            setattr(sys.modules[module], word, found)  # messages import those inside them each time
+            return found
         raise AttributeError(f"{module} has no interface {word!r}")
 
     return find, lambda: finder.store.words(package, kind)

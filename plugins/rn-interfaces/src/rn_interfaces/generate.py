@@ -9,11 +9,17 @@ the type supports are created at run time (`rn_interfaces.support`).
 from __future__ import annotations
 
 import json
+import re
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import redirect_stdout
 from importlib.metadata import distribution
 from pathlib import Path
+
+_WORDS = "from math import inf, nan\n"
+_USES_WORDS = re.compile(r"^ +(?:return|'\w+':) (?:nan|inf),?$", re.MULTILINE)
+FORM = "with inf and nan"
+"""Form of the classes, which changes with this program."""
 
 
 class GenerationError(RuntimeError):
@@ -62,11 +68,18 @@ def describe(
     description.generate_type_hash(str(_arguments(package, names, work, includes)))
 
 
-def write_classes(package: str, names: Sequence[str], work: Path) -> None:
-    """Write `work/<package>/<kind>/_<name>.py` from the IDL written by `describe`."""
+def write_class(package: str, name: str, work: Path) -> None:
+    """Write `work/<package>/<kind>/_<name>.py` from the IDL written by `describe`.
+
+    rosidl writes the defaults `nan` and `inf` as these words, which the file therefore imports.
+    """
     from rosidl_pycommon import generate_files  # type: ignore[import-untyped]
 
-    generate_files(str(_arguments(package, names, work, {})), {"_idl.py.em": "_%s.py"})
+    arguments = str(_arguments(package, [name], work, {}))
+    for path in map(Path, generate_files(arguments, {"_idl.py.em": "_%s.py"})):
+        text = path.read_text(encoding="utf-8")
+        if _USES_WORDS.search(text):
+            path.write_text(f"{_WORDS}{text}", encoding="utf-8")
 
 
 def _arguments(
@@ -95,16 +108,21 @@ def _arguments(
 
 def main() -> None:
     """Write the classes of interfaces whose IDL is in the folder given as the argument; their full
-    names are the lines of stdin.
+    names are the lines of stdin. The result is [name, reason] as a line of JSON for each, with an
+    empty reason for success. It ends after a failure, because the generators do not recover.
     """
     work = Path(sys.argv[1])
-    packages: dict[str, list[str]] = {}
-    for line in sys.stdin.read().split():
-        package, _, name = line.partition("/")
-        packages.setdefault(package, []).append(name)
     with redirect_stdout(sys.stderr):
-        for package, names in packages.items():
-            write_classes(package, names, work)
+        for line in sys.stdin.read().split():
+            package, _, name = line.partition("/")
+            reason = ""
+            try:
+                write_class(package, name, work)
+            except Exception as error:  # of lark, empy and the generators, without a common base
+                reason = f"{type(error).__name__}: {' '.join(str(error).split())}"[:200]
+            print(json.dumps([line, reason]), file=sys.__stdout__, flush=True)
+            if reason:
+                return
 
 
 if __name__ == "__main__":

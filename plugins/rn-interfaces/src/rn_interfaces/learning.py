@@ -1,40 +1,26 @@
 """Learning of interfaces from their texts: dependencies are looked up, rosidl translates and hashes
-them, and invalid ones are refused with a reason.
+them, their classes are tried, and each that cannot be used is refused with a reason.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping
-from contextlib import redirect_stdout
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from types import MappingProxyType
-from typing import NamedTuple
 
 from rn_interfaces.cache import installed
-from rn_interfaces.definitions import by_package, used_by
+from rn_interfaces.definitions import Outline, by_package, circles, outline
+from rn_interfaces.found import FoundDefinition, FoundDefinitions, Refusal
 from rn_interfaces.generate import describe
 from rn_interfaces.graph import described_hashes
+from rn_interfaces.sizes import sizes
 from rn_interfaces.store import DefinitionStore, Interface, Name, Origin, write
 from rn_interfaces.stores import known_definition
+from rn_interfaces.trying import failures
 from roboneuron import ConfigurationError
-
-
-class FoundDefinition(NamedTuple):
-    """A found definition.
-
-    Attributes:
-        text: content of the file.
-        source: place of the definition.
-        hashes: RIHS01 announced by nodes, for the type or parts such as
-            `weld_msgs/srv/Strike_Request`.
-    """
-
-    text: str
-    source: str
-    hashes: Mapping[str, str] = MappingProxyType({})
 
 
 @dataclass(kw_only=True, slots=True)
@@ -45,16 +31,16 @@ class Learnt:
         added: with the hash, also for replaced definitions.
         known: already stored with the same text.
         compiled: packages that are installed, whose compiled types are used.
-        refused: with the reason.
+        refused: with the reason; by file where there is no name.
     """
 
     added: dict[Name, str] = field(default_factory=dict)
     known: set[Name] = field(default_factory=set)
     compiled: set[str] = field(default_factory=set)
-    refused: dict[Name, str] = field(default_factory=dict)
+    refused: dict[str, Refusal] = field(default_factory=dict)
 
 
-def learn(store: DefinitionStore, texts: Mapping[Name, FoundDefinition]) -> Learnt:
+def learn(store: DefinitionStore, found: FoundDefinitions) -> Learnt:
     """Keep definitions, and those of rosbags' stores that they need.
 
     Raises
@@ -62,11 +48,12 @@ def learn(store: DefinitionStore, texts: Mapping[Name, FoundDefinition]) -> Lear
     ConfigurationError
         The store cannot take them.
     """
-    learnt = Learnt()
+    learnt = Learnt(refused=dict(found.refused))
     lesson = _Lesson(store, learnt)
-    for name, text in texts.items():
+    for name, text in found.texts.items():
         lesson.take(name, text)
     lesson.complete()
+    lesson.measure()
     store.add(lesson.made())
     return learnt
 
@@ -76,36 +63,64 @@ class _Lesson:
         self._store = store
         self._learnt = learnt
         self._texts: dict[Name, FoundDefinition] = {}
-        self._used: dict[Name, frozenset[Name]] = {}
+        self._outlines: dict[Name, Outline] = {}
 
     def take(self, name: Name, text: FoundDefinition) -> None:
         if installed(name.package, besides=self._store.prefix) is not None:
             self._learnt.compiled.add(name.package)
             return
+        self._texts[name] = text
         try:
-            self._used[name] = used_by(name, text.text)
+            self._outlines[name] = outline(name, text.text)
         except ConfigurationError as error:
-            self._learnt.refused[name] = error.message
-        else:
-            self._texts[name] = text
+            self._learnt.refused[str(name)] = Refusal(error.message, error.hint, text.source)
 
     def complete(self) -> None:
         """Look up dependencies, and refuse interfaces with an unknown one."""
         self._take_dependents()
-        waiting = list(self._used)
+        waiting = list(self._outlines)
         while waiting:
             name = waiting.pop()
-            if name not in self._used:
+            if name not in self._outlines:
                 continue
-            for other in self._used[name] - self._used.keys():
+            for other in sorted(self._outlines[name].used - self._outlines.keys()):
                 if self._is_installed(other):
                     continue
                 found = self._look_up(other)
-                if found is None:
-                    self._refuse(name, f"{name} uses {other}, which is not known")
+                if found is not None:
+                    self.take(other, found)
+                    waiting.append(other)
+                if other not in self._outlines:
+                    self._refuse(name, *self._lacking(name, other))
                     break
-                self.take(other, found)
-                waiting.append(other)
+
+    def _lacking(self, name: Name, other: Name) -> tuple[str, str]:
+        if str(other) in self._learnt.refused:
+            return f"{name} uses {other}, which is refused.", ""
+        if installed(other.package, besides=self._store.prefix) is not None:
+            hint = f"The installed package {other.package} is older or newer than this definition."
+        else:
+            hint = f"Name the folder of {other.package} as a further SOURCE."
+        return f"{name} uses {other}, which is not known.", hint
+
+    def measure(self) -> None:
+        """Refuse interfaces that hold themselves or grow too large."""
+        used = self._used()
+        order = [name for group in by_package(used) for name in group]
+        for name, way in circles(used, used.keys() - set(order)):
+            held = " -> ".join(map(str, [*way, name]))
+            self._refuse(
+                name,
+                f"{name} holds itself ({held}), so it has no end.",
+                "Refer to it by a number or name instead.",
+            )
+        found = sizes(self._outlines, [name for name in order if name in self._outlines])
+        for name, size in found.items():
+            if excess := size.excess():
+                self._refuse(name, f"{name} {excess}.", "Split it into separate topics.")
+
+    def _used(self) -> dict[Name, frozenset[Name]]:
+        return {name: one.used for name, one in self._outlines.items()}
 
     def _take_dependents(self) -> None:
         """Learn stored interfaces again if they use one whose text changes."""
@@ -117,46 +132,90 @@ class _Lesson:
         while changed:
             name = changed.pop()
             for other in self._store.names():
-                if other in self._used or name not in used_by(other, self._store.text(other)):
+                if other in self._texts or name not in self._stored(other):
                     continue
                 source = self._store.origins()[str(other)].source
                 self.take(other, FoundDefinition(self._store.text(other), source))
                 changed.add(other)
+
+    def _stored(self, name: Name) -> frozenset[Name]:
+        """The messages that a stored interface uses; none if an older version took what this one
+        does not.
+        """
+        try:
+            return outline(name, self._store.text(name)).used
+        except ConfigurationError:
+            return frozenset()
 
     def _is_installed(self, name: Name) -> bool:
         folder = installed(name.package, besides=self._store.prefix)
         return folder is not None and (folder / name.kind / f"{name.word}.json").is_file()
 
     def _look_up(self, name: Name) -> FoundDefinition | None:
-        if name in self._learnt.refused:
+        if str(name) in self._learnt.refused:
             return None
         if self._store.has(name):
             return FoundDefinition(self._store.text(name), self._store.origins()[str(name)].source)
         return known_definition(name)
 
-    def _refuse(self, name: Name, reason: str) -> None:
-        self._learnt.refused[name] = reason
-        del self._used[name]
-        for other in [other for other, used in self._used.items() if name in used]:
-            self._refuse(other, f"{other} uses {name}, which is refused")
+    def _refuse(self, name: Name, reason: str, instead: str = "") -> None:
+        """Refuse an interface and all that use it; no effect on refused ones."""
+        waiting = [(name, reason, instead)]
+        while waiting:
+            one, reason, instead = waiting.pop()
+            if one not in self._outlines:
+                continue
+            del self._outlines[one]
+            self._learnt.refused[str(one)] = Refusal(reason, instead, self._texts[one].source)
+            waiting += [
+                (other, f"{other} uses {one}, which is refused.", "")
+                for other, outlined in self._outlines.items()
+                if one in outlined.used
+            ]
 
     def made(self) -> dict[Name, Interface]:
         """Interfaces to be stored, with their IDL and description."""
         with TemporaryDirectory() as scratch:
             texts, work = Path(scratch, "texts"), Path(scratch, "work")
-            for name in self._used:
+            for name in self._outlines:
                 write(texts / name.file, self._texts[name].text)
             work.mkdir()
-            made: dict[Name, Interface] = {}
-            for names in by_package(self._used):
+            for names in by_package(self._used()):
                 # one by one only if a package has a definition that rosidl refuses
                 self._describe(names, texts, work)
-            for name in list(self._used):
-                self._keep(name, work, made)
-        return {name: one for name, one in made.items() if name in self._learnt.added}
+            made = dict(self._described(work))
+            self._try(Path(scratch, "trials"), made)
+        kept = {name: made[name] for name in self._outlines}
+        for name, one in kept.items():
+            if self._has(name, one):
+                self._learnt.known.add(name)
+            else:
+                self._learnt.added[name] = one.origin.type_hash
+        return {name: one for name, one in kept.items() if name in self._learnt.added}
+
+    def _has(self, name: Name, one: Interface) -> bool:
+        return (
+            self._store.has(name)
+            and self._store.text(name) == one.text
+            and self._store.description(name) == one.descriptions[name.word]
+        )
+
+    def _try(self, folder: Path, made: Mapping[Name, Interface]) -> None:
+        """Generate the classes, and refuse those with which Python cannot work."""
+        bad: Mapping[Name, str] = {}
+        while bad or not folder.exists():
+            trial = DefinitionStore(folder / str(len(self._outlines)))
+            trial.add({name: made[name] for name in self._outlines})
+            bad = failures(trial, [*self._outlines])
+            for name, reason in bad.items():
+                self._refuse(
+                    name,
+                    f"Python cannot use the class of {name}: {reason}.",
+                    "Give the field or constant another name, or leave out its default value.",
+                )
 
     def _describe(self, names: Iterable[Name], texts: Path, work: Path) -> None:
-        left = [name for name in names if name in self._used]
+        left = [name for name in names if name in self._outlines]
         while left:
             error = self._translate(left, texts, work)
             if error is None:
@@ -164,44 +223,47 @@ class _Lesson:
             culprit = next(
                 (one for one in left if self._translate([one], texts, work) is not None), left[0]
             )
-            self._refuse(culprit, f"rosidl does not take {culprit}: {error}")
-            left = [name for name in left if name in self._used]
+            self._refuse(
+                culprit,
+                f"rosidl does not take {culprit}: {error}.",
+                "Compare it with a message of ROS 2: `roboneuron describe std_msgs/msg/Header`.",
+            )
+            left = [name for name in left if name in self._outlines]
 
     def _translate(self, names: list[Name], texts: Path, work: Path) -> str | None:
         package = names[0].package
-        others = {other.package for name in names for other in self._used[name]}
+        others = {other.package for name in names for other in self._outlines[name].used}
         found = {one: installed(one, besides=self._store.prefix) for one in others}
         includes = {one: folder for one, folder in found.items() if folder is not None}
         listed = [f"{name.kind}/{name.word}" for name in names]
         try:
-            with Path(os.devnull).open("w") as nowhere, redirect_stdout(nowhere):
+            with (
+                Path(os.devnull).open("w") as nowhere,
+                redirect_stdout(nowhere),
+                redirect_stderr(nowhere),
+            ):
                 describe(package, listed, texts, work, includes)
         except Exception as error:  # of lark, empy and the generators, which have no common base
-            return " ".join(str(error).split())[:200] or type(error).__name__
+            return " ".join(str(error).split())[:200].rstrip(".") or type(error).__name__
         return None
 
-    def _keep(self, name: Name, work: Path, made: dict[Name, Interface]) -> None:
-        text, source, expected = self._texts[name]
-        place = work / name.package / name.kind
-        files = [place / f"{name.word}.json", *place.glob(f"{name.word}_*.json")]
-        descriptions = {path.stem: path.read_text(encoding="utf-8") for path in files}
-        hashes = described_hashes(descriptions[name.word])
-        for part, announced in expected.items():
-            if announced != hashes.get(part):
-                self._refuse(
-                    name,
-                    f"{part} of {source} gives {hashes.get(part)}, but the node says {announced}: "
-                    "its definition is not the one that it was built with",
-                )
-                return
-        found = hashes[str(name)]
-        if (
-            self._store.has(name)
-            and self._store.text(name) == text
-            and self._store.description(name) == descriptions[name.word]
-        ):
-            self._learnt.known.add(name)
-            return
-        idl = (place / f"{name.word}.idl").read_text(encoding="utf-8")
-        self._learnt.added[name] = found
-        made[name] = Interface(text, idl, descriptions, Origin(source, found))
+    def _described(self, work: Path) -> Iterator[tuple[Name, Interface]]:
+        for name in list(self._outlines):
+            text, source, expected = self._texts[name]
+            place = work / name.package / name.kind
+            files = [place / f"{name.word}.json", *place.glob(f"{name.word}_*.json")]
+            descriptions = {path.stem: path.read_text(encoding="utf-8") for path in files}
+            hashes = described_hashes(descriptions[name.word])
+            for part, announced in expected.items():
+                if announced != hashes.get(part):
+                    self._refuse(
+                        name,
+                        f"{part} of {source} gives {hashes.get(part)}, but the node says "
+                        f"{announced}: its definition is not the one that it was built with.",
+                        "Build the node again, or learn from the folder that it was built from.",
+                    )
+                    break
+            else:
+                idl = (place / f"{name.word}.idl").read_text(encoding="utf-8")
+                origin = Origin(source, hashes[str(name)])
+                yield name, Interface(text, idl, descriptions, origin)

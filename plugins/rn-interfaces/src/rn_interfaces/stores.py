@@ -5,12 +5,11 @@ from __future__ import annotations
 from functools import cache
 from typing import TYPE_CHECKING
 
+from rn_interfaces.found import FoundDefinition
 from rn_interfaces.store import Name
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
-
-    from rn_interfaces.learning import FoundDefinition
 
 _RULE = "=" * 80
 _NEWEST = ("ROS2_JAZZY", "ROS2_LYRICAL", "ROS2_KILTED", "ROS2_IRON", "ROS2_HUMBLE")
@@ -22,8 +21,6 @@ def known_definition(name: Name) -> FoundDefinition | None:
 
     Services and actions are not included.
     """
-    from rn_interfaces.learning import FoundDefinition
-
     for distribution in _NEWEST:
         store = _store(distribution)
         if str(name) in store.types:

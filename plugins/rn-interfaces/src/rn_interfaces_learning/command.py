@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from argparse import ArgumentParser, Namespace
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -44,7 +45,7 @@ class Ros:
         """Run `roboneuron ros`."""
         store = DefinitionStore()
         if arguments.action == "learn":
-            return max(_learn(store, source) for source in arguments.sources)
+            return _learn(store, arguments.sources)
         if arguments.action == "list":
             return _list(store, arguments.json)
         if arguments.action == "forget":
@@ -52,26 +53,33 @@ class Ros:
         return _show(store, arguments.type)
 
 
-def _learn(store: DefinitionStore, source: str) -> int:
+def _learn(store: DefinitionStore, sources: Sequence[str]) -> int:
+    from rn_interfaces.found import FoundDefinitions
     from rn_interfaces.learning import learn  # heavy
     from rn_interfaces.sources import definitions
-    from rn_interfaces_learning.nodes import Found, ask_nodes, with_graph
+    from rn_interfaces_learning.nodes import ask_nodes, with_graph
 
-    if source == GRAPH and not Path(source).exists():
-        found = with_graph(lambda graph: ask_nodes(graph, store))
-    else:
-        found = Found(texts=definitions(Path(source)))
-    learnt = learn(store, found.texts)
-    refused = {str(name): reason for name, reason in learnt.refused.items()} | found.unanswered
-    _report(learnt, refused)
-    return 1 if refused else 0
+    found = FoundDefinitions()
+    for source in sources:
+        if source == GRAPH and not Path(source).exists():
+            found.update(with_graph(lambda graph: ask_nodes(graph, store)))
+        else:
+            found.update(definitions(Path(source)))
+    learnt = learn(store, found)
+    _report(learnt)
+    return 1 if learnt.refused else 0
 
 
-def _report(learnt: Learnt, refused: dict[str, str]) -> None:
+def _report(learnt: Learnt) -> None:
     lines = [f"{name}  {found}" for name, found in sorted(learnt.added.items())]
     lines += [f"{package}  is compiled here already" for package in sorted(learnt.compiled)]
-    lines += [f"{name}  refused: {reason}" for name, reason in sorted(refused.items())]
-    counted = f"{len(learnt.added)} learnt, {len(learnt.known)} known, {len(refused)} refused."
+    for name, (reason, instead, source) in sorted(learnt.refused.items()):
+        lines.append(f"{name}  refused: {reason} {instead}".rstrip())
+        if source:
+            lines.append(f"  in {source}")
+    counted = (
+        f"{len(learnt.added)} learnt, {len(learnt.known)} known, {len(learnt.refused)} refused."
+    )
     sys.stdout.write("".join(f"{line}\n" for line in [*lines, counted]))
 
 

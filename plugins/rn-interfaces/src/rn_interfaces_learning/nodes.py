@@ -6,12 +6,11 @@ import os
 import threading
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
+from rn_interfaces.found import FoundDefinition, FoundDefinitions, Refusal
 from rn_interfaces.graph import hashes_here, is_known, uses
-from rn_interfaces.learning import FoundDefinition
 from rn_interfaces.store import DefinitionStore, Name, parse_name
 from rn_interfaces_learning.processes import definition_of, prefixes_of_processes
 from roboneuron import ConfigurationError, NotReadyError
@@ -38,19 +37,6 @@ class TopicEndpoint(Protocol):
     node_name: str
     node_namespace: str
     topic_type_hash: object
-
-
-@dataclass(kw_only=True, slots=True)
-class Found:
-    """Result of the queries about unknown types.
-
-    Attributes:
-        texts: definitions with their node's hash.
-        unanswered: reason for a missing one, by type.
-    """
-
-    texts: dict[Name, FoundDefinition] = field(default_factory=dict)
-    unanswered: dict[str, str] = field(default_factory=dict)
 
 
 class NodeGraph:
@@ -118,7 +104,7 @@ def ask_nodes(
     graph: NodeGraph,
     store: DefinitionStore,
     prefixes: Callable[[], Sequence[Path]] = prefixes_of_processes,
-) -> Found:
+) -> FoundDefinitions:
     """Ask the nodes for definitions of the messages that they publish or subscribe to.
 
     A node only answers for the hash of its type. For a service or action, ROS 2 announces the
@@ -130,7 +116,7 @@ def ask_nodes(
         store: store of the learnt interfaces.
         prefixes: ament prefixes where definitions of services and actions may be.
     """
-    found = Found()
+    found = FoundDefinitions()
     for name, topics in uses(graph).items():
         if name.kind == "msg":
             infos = [info for topic in topics for info in graph.endpoints(topic)]
@@ -143,7 +129,9 @@ def ask_nodes(
             continue
         if any(len(hashes) > 1 for hashes in spoken.values()):
             listed = ", ".join(sorted(one for hashes in spoken.values() for one in hashes))
-            found.unanswered[str(name)] = f"nodes disagree on it: {listed}"
+            found.refused[str(name)] = Refusal(
+                f"Nodes disagree on it: {listed}.", "Build all of them from one definition."
+            )
         elif name.kind == "msg":
             _ask(graph, name, infos, found)
         else:
@@ -174,21 +162,21 @@ def _part_hashes(graph: NodeGraph, name: Name, places: Iterable[str]) -> dict[st
 
 
 def _look_up(
-    name: Name, announced: Mapping[str, str], prefixes: Sequence[Path], found: Found
+    name: Name, announced: Mapping[str, str], prefixes: Sequence[Path], found: FoundDefinitions
 ) -> None:
     if not announced:
-        found.unanswered[str(name)] = (
-            "its nodes announce no hash (ROS 2 before Iron does not); learn it from a folder"
+        found.refused[str(name)] = Refusal(
+            "Its nodes announce no hash (ROS 2 before Iron does not).", "Learn it from a folder."
         )
         return
     texts = definition_of(name, announced, prefixes)
     if name in texts:
         found.texts = {**texts, **found.texts}
         return
-    found.unanswered[str(name)] = (
-        "nodes tell nobody the definition of a service or action, and no process of yours on this "
-        "machine has that one; copy the folder share/"
-        f"{name.package} of its machine here and learn that"
+    found.refused[str(name)] = Refusal(
+        "Nodes tell nobody the definition of a service or action, and no process of yours on this "
+        "machine has that one.",
+        f"Copy the folder share/{name.package} of its machine here and learn that.",
     )
 
 
@@ -200,7 +188,9 @@ def _hash_of(info: TopicEndpoint) -> str:
     return str(info.topic_type_hash)
 
 
-def _ask(graph: NodeGraph, name: Name, infos: Iterable[TopicEndpoint], found: Found) -> None:
+def _ask(
+    graph: NodeGraph, name: Name, infos: Iterable[TopicEndpoint], found: FoundDefinitions
+) -> None:
     reasons: dict[str, str] = {}
     for info in infos:
         node = f"{info.node_namespace.rstrip('/')}/{info.node_name}"
@@ -215,7 +205,8 @@ def _ask(graph: NodeGraph, name: Name, infos: Iterable[TopicEndpoint], found: Fo
             found.texts = {**texts, **found.texts}
             return
         reasons[node] = f"{node} gives no .msg text of it"
-    found.unanswered[str(name)] = "; ".join(reasons.values()) or "no node has it any more"
+    reason = "; ".join(reasons.values()) or "no node has it any more"
+    found.refused[str(name)] = Refusal(f"{reason}.", "Learn it from a folder.")
 
 
 def _texts(
@@ -263,7 +254,7 @@ def wait_settled(
         )
 
 
-def with_graph(look: Callable[[NodeGraph], Found]) -> Found:
+def with_graph(look: Callable[[NodeGraph], FoundDefinitions]) -> FoundDefinitions:
     """Join ROS, wait until the graph is discovered, call `look`, and leave. Raises as
     `wait_settled`.
     """

@@ -6,10 +6,10 @@ import os
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-from rn_interfaces.definitions import used_by
+from rn_interfaces.definitions import outline
 from rn_interfaces.finder import PREFIXES
+from rn_interfaces.found import FoundDefinition
 from rn_interfaces.graph import described_hashes
-from rn_interfaces.learning import FoundDefinition
 from rn_interfaces.store import Name
 from roboneuron import ConfigurationError
 
@@ -66,4 +66,4 @@ def _texts(
         done.add(one)
         text = path.read_text(encoding="utf-8")
         yield one, FoundDefinition(text, str(path), announced if one == name else {})
-        waiting += used_by(one, text)
+        waiting += outline(one, text).used
