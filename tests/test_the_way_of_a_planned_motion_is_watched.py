@@ -17,6 +17,7 @@ from roboneuron import (
     JointSample,
     Obstacle,
     RefusedError,
+    joint_kinds,
 )
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -38,7 +39,9 @@ class Way:
 
     def __init__(self, limiter: PathLimiter, zones: tuple[Obstacle, ...] = ()) -> None:
         self.now_s, self.joints = 0.0, HOME
-        self.watch = WayWatch(limiter, zones, lambda: self.joints, lambda: self.now_s)
+        self.watch = WayWatch(
+            limiter, zones, lambda: self.joints, joint_kinds(""), lambda: self.now_s
+        )
 
     def see(self, joints: Any, after_s: float = 0.1) -> None:
         self.now_s += after_s

@@ -4,6 +4,7 @@ moves.
 
 from __future__ import annotations
 
+import math
 import re
 import subprocess
 import sys
@@ -97,3 +98,56 @@ def test_the_arm_of_the_page_moves(project: Path, environment: dict[str, str], d
     assert abs(float(moved) - 0.3) < 0.01  # return value of move_joints
     [error_m] = re.findall(r'"error_m": ([^,]+),', done.stdout)
     assert float(error_m) < 0.002  # return value of move_ee; may well be 0.0 or 2e-05
+
+
+WALL = """
+[[limits.obstacles]]
+name = "wall"
+lower_m = [-1.0, 0.39, -1.0]
+upper_m = [1.0, 0.6, 1.5]
+"""
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize(
+    "kind", ["continuous", pytest.param("revolute", marks=pytest.mark.exhaustive)]
+)
+def test_a_wall_stops_an_arm_whose_first_joint_turns_without_end(
+    project: Path, environment: dict[str, str], kind: str
+) -> None:
+    """As it does one with end stops; and a goal beyond half a turn is reached the shorter way."""
+    environment = {**environment, "PYTHONPATH": str(project / "src")}
+    urdf, profile = (project / "src" / "rn_robot_myarm" / n for n in ("myarm.urdf", "profile.py"))
+    text = urdf.read_text(encoding="utf-8")
+    named = 'name="joint_1" type="revolute"'
+    assert named in text
+    urdf.write_text(text.replace(named, f'name="joint_1" type="{kind}"'), encoding="utf-8")
+    if kind == "continuous":
+        text = profile.read_text(encoding="utf-8")
+        endless = text.replace(
+            "            lower=-upper,\n            upper=upper,\n",
+            "            lower=np.append(-np.inf, -upper[1:]),\n"
+            "            upper=np.append(np.inf, upper[1:]),\n",
+        )
+        box = "[0.15, -0.5, 0.05]"  # the workspace, which is in front of the arm
+        assert box in endless
+        endless = endless.replace(box, "[-0.75, -0.75, 0.05]")
+        assert endless.count("np.inf") == 2
+        profile.write_text(endless, encoding="utf-8")
+    config = project / "roboneuron.toml"
+    config.write_text(FILES["roboneuron.toml"] + WALL, encoding="utf-8")
+    command = ["roboneuron", "call", "start_robot", "--config", str(config)]
+    goals = [-0.4, 1.2]
+    if kind == "continuous":
+        goals = [-1.5, -2.9, 3.2, 1.2]  # 3.2 is -3.08: past the half turn, not past the wall
+    for goal in goals:
+        command += ["--then", "move_joints", f'{{"positions": {{"joint_1": {goal}}}}}']
+    done = subprocess.run(
+        command, env=environment, capture_output=True, text=True, timeout=120, check=False
+    )
+    told = done.stdout + done.stderr
+    assert done.returncode != 0, told
+    assert re.search(r"(forearm|upper_arm) and wall", told), told
+    moved = [float(value) for value in re.findall(r'"joint_1": (-?[\d.]+)', done.stdout)]
+    expected = goals[:-1] if kind == "revolute" else [-1.5, -2.9, 3.2 - 2 * math.pi]
+    assert moved == pytest.approx(expected, abs=0.01), told

@@ -27,11 +27,13 @@ from .contract import (
     Controller as Controller,
     EE_DELTA as EE_DELTA,
     Endpoint as Endpoint,
+    MimicJoint as MimicJoint,
     Frame as Frame,
     GRIPPER as GRIPPER,
     GripperProfile as GripperProfile,
     Hold as Hold,
     JointCommand as JointCommand,
+    JointKinds as JointKinds,
     JointLimits as JointLimits,
     JointSample as JointSample,
     LookaheadDriver as LookaheadDriver,
@@ -55,6 +57,7 @@ from .contract import (
     channel_keys as channel_keys,
     check_rgb8 as check_rgb8,
     frame_from_buffer as frame_from_buffer,
+    joint_kinds as joint_kinds,
     robot_space as robot_space,
 )
 from .contract.arrays import (

@@ -33,7 +33,7 @@ def test_a_lever_is_the_way_along_the_links_from_a_joint_to_the_tcp_and_a_hand_m
             "flange": 0.1,
             "wrist": 0.1 + 0.2,
             "slide": 1.0,
-            "shoulder": 0.1 + 0.2 + 0.5 + 0.25 + 0.5,  # the slide may be fully extended
+            "shoulder": 0.1 + 0.2 + 0.5 + 0.25 + 0.375,  # the slide may be fully extended
         }
     )
 
@@ -41,22 +41,39 @@ def test_a_lever_is_the_way_along_the_links_from_a_joint_to_the_tcp_and_a_hand_m
 @pytest.mark.parametrize(
     ("limit", "travel_m"),
     [
-        ("", 2.0),
-        ('<limit effort="1"/>', 2.0),
+        ("", 1.0),
+        ('<limit effort="1"/>', 1.0),
         ('<limit lower="0"/>', 1.0),
-        ('<limit upper="0.5"/>', 1.5),
+        ('<limit lower="-1.5"/>', 1.5),
+        ('<limit upper="0.5"/>', 1.0),
+        ('<limit lower="0.6" upper="0.9"/>', 0.9),
+        ('<limit lower="-0.9" upper="-0.6"/>', 0.9),
     ],
 )
-def test_a_slide_that_does_not_say_its_travel_has_two_metres(limit: str, travel_m: float) -> None:
+def test_a_slide_counts_as_far_as_it_can_be_from_its_zero_or_one_metre(
+    limit: str, travel_m: float
+) -> None:
     urdf = URDF.replace('<limit lower="-0.125" upper="0.375"/>', limit)
     assert levers_m(robot(urdf))["shoulder"] == pytest.approx(1.05 + travel_m)
+
+
+def test_a_joint_moves_what_its_followers_move() -> None:
+    """The shoulder's lever, and twice the wrist's and three times the slide's."""
+    urdf = URDF.replace(
+        '<joint name="wrist" type="revolute">',
+        '<joint name="wrist" type="revolute"><mimic joint="shoulder" multiplier="-2"/>',
+    ).replace(
+        '<joint name="slide" type="prismatic">',
+        '<joint name="slide" type="prismatic"><mimic joint="wrist" multiplier="1.5"/>',
+    )
+    assert levers_m(robot(urdf))["shoulder"] == pytest.approx(1.425 + 2.0 * 0.3 + 3.0 * 1.0)
 
 
 @pytest.mark.parametrize("origin", ["", "<origin/>", '<origin rpy="1 2 3"/>'])
 def test_a_joint_that_does_not_say_where_it_is_lies_at_the_one_before(origin: str) -> None:
     assert levers_m(robot(URDF.replace('<origin xyz="0 0 0.25"/>', origin)))[
         "shoulder"
-    ] == pytest.approx(1.3)
+    ] == pytest.approx(1.175)
 
 
 @pytest.mark.parametrize(

@@ -302,3 +302,41 @@ def test_an_immediate_command_of_an_arm_that_follows_is_not_too_fast() -> None:
     assert judge.limit(to(0.0079, duration_s=0.5), at(), 10.9).acted == ()
     judge.follow(to(0.005), at(), 10.0)
     assert judge.limit(to(0.0099, duration_s=0.5), at(), 10.9).acted == ("step",)
+
+
+TURNING = SLIDES.replace('name="turn" type="revolute"', 'name="turn" type="continuous"')
+HALF = math.pi
+
+
+@pytest.mark.parametrize(
+    ("first", "measured", "second", "sent_to"),
+    [
+        # it was sent beyond half a turn, and counts from there on, or begins anew
+        (HALF + 0.02, HALF + 0.01, HALF + 0.04, HALF + 0.04),
+        (HALF + 0.02, -HALF + 0.01, -HALF + 0.04, -HALF + 0.04),
+        (HALF + 0.02, -HALF + 0.01, HALF + 0.04, -HALF + 0.04),
+        (-HALF - 0.02, HALF - 0.01, -HALF - 0.04, HALF - 0.04),
+        (7.0, 7.0 - 4 * HALF, 7.02, 7.02 - 4 * HALF),
+    ],
+)
+def test_a_setpoint_of_a_continuous_joint_is_followed_in_whatever_turns_it_is_measured(
+    first: float, measured: float, second: float, sent_to: float
+) -> None:
+    free = np.full(3, np.inf)
+    robot = profile(urdf=TURNING)
+    assert robot.limits is not None
+    robot = replace(robot, limits=replace(robot.limits, lower=-free, upper=free))
+    judge = limiter(robot=robot)
+    judge.limit(to(0.0, 0.0, first), at(0.0, 0.0, first), 10.0)
+    verdict = judge.limit(to(0.0, 0.0, second), at(0.0, 0.0, measured), 10.1)
+    assert not verdict.reference_lost
+    assert verdict.acted == ()
+    assert place(verdict) == pytest.approx([0.0, 0.0, sent_to])
+    ends = judge.reference(at(0.0, 0.0, measured), 10.15)
+    assert ends.position[2] == pytest.approx(sent_to)
+
+
+def test_a_revolute_joint_that_is_measured_a_turn_away_is_lost() -> None:
+    judge = limiter(robot=profile(urdf=SLIDES))
+    judge.limit(to(0.0, 0.0, 2.9), at(0.0, 0.0, 2.9), 10.0)
+    assert judge.limit(to(0.0, 0.0, 2.9), at(0.0, 0.0, 2.9 - 2 * HALF), 10.1).reference_lost

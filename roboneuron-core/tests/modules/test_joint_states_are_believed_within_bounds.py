@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -186,3 +187,28 @@ def test_an_arm_without_known_limits_may_be_anywhere() -> None:
     watch = JointWatch(make_profile(limited=False), TIMEOUT_S)
     assert accept(watch, 0.0, 0.0)
     assert accept(watch, 0.9, 0.9, at_s=0.01)
+
+
+@pytest.mark.parametrize(
+    ("kind", "before", "now", "is_believed"),
+    [
+        ("continuous", math.pi - 0.01, -math.pi + 0.01, True),
+        ("revolute", math.pi - 0.01, -math.pi + 0.01, False),
+        ("continuous", 0.3, 0.3 + 4 * math.pi, True),
+        ("revolute", 0.3, 0.3 + 4 * math.pi, False),
+        ("continuous", 7.0, 7.01, True),
+        ("continuous", 0.0, math.pi, False),
+        ("continuous", math.pi - 0.2, -math.pi + 0.2, False),
+    ],
+)
+def test_a_whole_turn_of_a_continuous_joint_is_no_jump(
+    kind: str, before: float, now: float, is_believed: bool
+) -> None:
+    urdf = URDF.replace('name="turn" type="revolute"', f'name="turn" type="{kind}"')
+    watch = JointWatch(replace(make_profile(), urdf=urdf), TIMEOUT_S)
+    assert accept(watch, 0.0, before)
+    if is_believed:
+        assert accept(watch, 0.0, now, at_s=0.02)
+        return
+    with pytest.raises(UnsafeError, match="turn is measured at"):
+        accept(watch, 0.0, now, at_s=0.02)

@@ -42,6 +42,7 @@ class ArmKinematics:
         gripper: None without one.
         model: chain and limits.
         bounds: bounds of each joint in one step.
+        span: differences of its joints.
         solver: the inverse kinematics.
     """
 
@@ -54,6 +55,7 @@ class ArmKinematics:
         self.name, self.gripper = arm.name, arm.gripper
         self.model: ArmModel = build_arm_model(profile.of_arm(arm))
         self.bounds = joint_bounds(options, self.model)
+        self.span = profile.kinds.span(self.model.joints)
         self.solver = InverseKinematics(self.model)
         self._viewer = InverseKinematics(self.model)
         self._options = options

@@ -14,15 +14,6 @@ _MOVING = ("revolute", "continuous", "prismatic")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Mimic:
-    """A joint that follows another: position = multiplier * leader + offset."""
-
-    leader: str
-    multiplier: float
-    offset: float
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
 class ChainJoint:
     """One joint of the chain, as the URDF describes it.
 
@@ -34,7 +25,7 @@ class ChainJoint:
         axis: text of the joint axis in the joint frame.
         lower, upper: position limits [rad or m]; infinite where the URDF gives none.
         velocity: velocity limit [rad/s or m/s]; infinite where the URDF gives none.
-        mimic: None for joints that move by themselves.
+        is_follower: it mimics another joint; `RobotProfile.kinds` has which.
     """
 
     name: str
@@ -47,7 +38,7 @@ class ChainJoint:
     lower: float
     upper: float
     velocity: float
-    mimic: Mimic | None
+    is_follower: bool
 
     @property
     def is_moving(self) -> bool:
@@ -100,8 +91,7 @@ def _link(element: ET.Element, role: str, joint: str) -> str:
 
 def _parse_joint(element: ET.Element) -> ChainJoint:
     name = element.get("name", "")
-    origin, limit, mimic = element.find("origin"), element.find("limit"), element.find("mimic")
-    leader = None if mimic is None else mimic.get("joint", "")
+    origin, limit = element.find("origin"), element.find("limit")
     kind = element.get("type", "")
     bounded = kind != "continuous"
     axis = _vector(element.find("axis"), "xyz", "1 0 0", name)
@@ -118,13 +108,7 @@ def _parse_joint(element: ET.Element) -> ChainJoint:
         lower=_number(limit, "lower", -math.inf, name) if bounded else -math.inf,
         upper=_number(limit, "upper", math.inf, name) if bounded else math.inf,
         velocity=_number(limit, "velocity", math.inf, name),
-        mimic=None
-        if leader is None
-        else Mimic(
-            leader=leader,
-            multiplier=_number(mimic, "multiplier", 1.0, name),
-            offset=_number(mimic, "offset", 0.0, name),
-        ),
+        is_follower=element.find("mimic") is not None,
     )
 
 
@@ -176,19 +160,33 @@ def parse_chain(urdf: str, base_link: str, tcp_link: str) -> tuple[ChainJoint, .
 
 
 def kinematic_urdf(chain: tuple[ChainJoint, ...]) -> str:
-    """Return a URDF with only `chain`, rooted at its first link, with unbounded joints."""
+    """Return a URDF with only `chain`, rooted at its first link."""
     robot = ET.Element("robot", name="chain")
     for link in (chain[0].parent, *(joint.child for joint in chain)):
         ET.SubElement(robot, "link", name=link)
     for joint in chain:
-        # In pinocchio a continuous joint has two coordinates (cosine, sine), a revolute one has
-        # one.
-        kind = "revolute" if joint.type == "continuous" else joint.type
-        element = ET.SubElement(robot, "joint", name=joint.name, type=kind)
+        element = ET.SubElement(robot, "joint", name=joint.name, type=joint.type)
         ET.SubElement(element, "parent", link=joint.parent)
         ET.SubElement(element, "child", link=joint.child)
         ET.SubElement(element, "origin", xyz=joint.origin_xyz, rpy=joint.origin_rpy)
         if joint.is_moving:
             ET.SubElement(element, "axis", xyz=joint.axis)
-            ET.SubElement(element, "limit", lower="-1e9", upper="1e9", velocity="1e9", effort="1e9")
+    return one_coordinate(robot)
+
+
+def one_coordinate(robot: ET.Element) -> str:
+    """Return a URDF for pinocchio in which each moving joint has one coordinate, its position.
+
+    A continuous joint has two otherwise, cosine and sine. Limits are not pinocchio's business: its
+    parser refuses a revolute joint without them. Followers are set as others are. Modifies `robot`.
+    """
+    for joint in robot.findall("joint"):
+        if joint.get("type") not in _MOVING:
+            continue
+        if joint.get("type") == "continuous":
+            joint.set("type", "revolute")
+        for name in ("limit", "mimic", "safety_controller"):
+            for element in joint.findall(name):
+                joint.remove(element)
+        ET.SubElement(joint, "limit", lower="-1e9", upper="1e9", velocity="1e9", effort="1e9")
     return ET.tostring(robot, encoding="unicode")

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from rn_controller_urdf.chain import one_coordinate
 from roboneuron import (
     ArmProfile,
     CollisionProfile,
@@ -41,7 +42,8 @@ class CollisionModel:
     Not compared, because they overlap by construction: links of one joint, links connected by a
     joint, fingers of one hand, links that touch at the profile's home posture, and a base that
     stands on an obstacle. Only boxes, cylinders, spheres and capsules are supported: meshes are
-    refused. Joints missing in a sample stay at zero, or at the nearest limit; mimic joints follow.
+    refused. Joints missing in a sample are at rest, and mimic joints follow, as in
+    `JointConfiguration`.
     """
 
     def __init__(self, profile: RobotProfile, collision: CollisionProfile) -> None:
@@ -63,23 +65,18 @@ class CollisionModel:
             )
         self._pin: ModuleType = pinocchio
         self._collision = collision
-        self._model = pinocchio.buildModelFromXML(profile.urdf)
+        urdf = one_coordinate(root)
+        self._model = pinocchio.buildModelFromXML(urdf)
         self._data = self._model.createData()
         self._shapes = pinocchio.buildGeomFromUrdfString(
-            self._model, profile.urdf, pinocchio.GeometryType.COLLISION
+            self._model, urdf, pinocchio.GeometryType.COLLISION
         )
         self._links = [
             str(self._model.frames[s.parentFrame].name) for s in self._shapes.geometryObjects
         ]
         self._base = self._place_base(profile.base_link)
         self._add_obstacles()
-        self._rest: F64 = np.clip(
-            pinocchio.neutral(self._model),
-            self._model.lowerPositionLimit,
-            self._model.upperPositionLimit,
-        )
-        self._mimics = _mimics(root)
-        self._order: tuple[tuple[str, ...], list[int], list[int]] = ((), [], [])
+        self._set_configuration(profile)
         self._check_tools()
         self._choose_pairs(root, profile.arms)
         self._prepare()
@@ -219,46 +216,29 @@ class CollisionModel:
                 )
         return nearest.values()
 
+    def _set_configuration(self, profile: RobotProfile) -> None:
+        """Find the coordinate of each joint."""
+        moving = [name for name in profile.kinds.moving if self._model.existJointName(name)]
+        coordinates = [self._model.joints[self._model.getJointId(name)].idx_q for name in moving]
+        order = sorted(zip(coordinates, moving, strict=True))
+        self._coordinates = [int(coordinate) for coordinate, _ in order]
+        self._configuration = profile.kinds.configuration([name for _, name in order])
+        self._neutral: F64 = self._pin.neutral(self._model)  # of joints with several coordinates
+        self._is_whole = len(order) == self._model.nq
+
     def _full(self, joints: JointSample) -> F64:
-        names, source, place = self._order
-        if names != joints.names:
-            known = [
-                (i, name) for i, name in enumerate(joints.names) if self._model.existJointName(name)
-            ]
-            source = [i for i, _ in known]
-            place = [
-                int(self._model.joints[self._model.getJointId(name)].idx_q) for _, name in known
-            ]
-            self._order = (joints.names, source, place)
-        position = np.asarray(joints.position, dtype=np.float64)[source]
-        if not np.isfinite(position).all():
+        full = self._configuration(joints.names, np.asarray(joints.position, dtype=np.float64))
+        if not np.isfinite(full).all():
             raise UnsafeError(
                 f"A joint is not finite: {dict(zip(joints.names, joints.position, strict=False))}."
             )
-        full = self._rest.copy()
-        full[place] = position
-        for follower, leader, multiplier, offset in self._mimics:
-            full[self._index(follower)] = multiplier * full[self._index(leader)] + offset
-        return full
-
-    def _index(self, joint: str) -> int:
-        return int(self._model.joints[self._model.getJointId(joint)].idx_q)
+        if self._is_whole:
+            return full
+        whole = self._neutral.copy()
+        whole[self._coordinates] = full
+        return whole
 
 
 def _link(joint: ET.Element, role: str) -> str:
     element = joint.find(role)
     return "" if element is None else element.get("link", "")
-
-
-def _mimics(root: ET.Element) -> list[tuple[str, str, float, float]]:
-    """Follower, leader, multiplier and offset of the mimic joints."""
-    return [
-        (
-            joint.get("name", ""),
-            mimic.get("joint", ""),
-            float(mimic.get("multiplier", "1")),
-            float(mimic.get("offset", "0")),
-        )
-        for joint in root.findall("joint")
-        if (mimic := joint.find("mimic")) is not None
-    ]

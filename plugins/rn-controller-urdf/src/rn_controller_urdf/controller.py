@@ -110,6 +110,8 @@ class UrdfController:
         """Distances of links to each other and to obstacles, the nearest first; () where the
         profile asks for none. Raises as `forward`.
         """
+        for arm in self._loaded():
+            arm.pose(joints)
         return () if self._collision is None else self._collision.distances(joints)
 
     def compute(self, action: Action, joints: JointSample, step_s: float) -> JointCommand | Hold:
@@ -216,6 +218,8 @@ class UrdfController:
             target = np.array([values[name] for name in arm.model.joints])
             if kind == "joint_velocity":
                 target = start + target * step_s
+            else:
+                target = arm.span.nearest(start, target, arm.model.lower, arm.model.upper)
         step = (target - start).tolist()
         if (refusal := check_step(step, arm.bounds)) is not None:
             return refusal

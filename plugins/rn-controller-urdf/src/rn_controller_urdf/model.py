@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rn_controller_urdf.chain import ChainJoint, kinematic_urdf, parse_chain
-from roboneuron import ConfigurationError, RobotProfile
+from roboneuron import ConfigurationError, MimicJoint, RobotProfile
 
 if TYPE_CHECKING:
     import pinocchio
@@ -57,16 +57,17 @@ def _arm_joints(profile: RobotProfile, moving: list[ChainJoint]) -> list[ChainJo
             f"against {profile.base_link!r}; the joints between them are "
             f"{[joint.name for joint in moving]}."
         )
+    leaders = {f.name: f.leader for f in _followers(profile, moving)}
     for joint in moving:
         if joint in arm:
-            if joint.mimic is not None:
+            if joint.name in leaders:
                 raise ConfigurationError(
                     f"Robot {profile.name!r}: arm joint {joint.name!r} mimics "
-                    f"{joint.mimic.leader!r} and cannot be "
+                    f"{leaders[joint.name]!r} and cannot be "
                     "commanded.",
                     hint="Take it out of arm_joints.",
                 )
-        elif joint.mimic is None or joint.mimic.leader not in profile.arm_joints:
+        elif leaders.get(joint.name) not in profile.arm_joints:
             raise ConfigurationError(
                 f"Robot {profile.name!r}: joint {joint.name!r} lies between {profile.base_link!r} "
                 "and "
@@ -108,15 +109,26 @@ def _limits(profile: RobotProfile, arm: list[ChainJoint]) -> tuple[F64, F64, F64
     return lower, upper, velocity
 
 
-def _coupling(moving: list[ChainJoint], arm: list[ChainJoint]) -> tuple[F64, F64]:
-    names = [joint.name for joint in arm]
+def _followers(profile: RobotProfile, moving: list[ChainJoint]) -> list[MimicJoint]:
+    """Those of the chain; others are not looked at without need."""
+    if not any(joint.is_follower for joint in moving):
+        return []
+    names = {joint.name for joint in moving}
+    return [follower for follower in profile.kinds.followers if follower.name in names]
+
+
+def _coupling(
+    profile: RobotProfile, moving: list[ChainJoint], arm: list[ChainJoint]
+) -> tuple[F64, F64]:
+    rows = {joint.name: row for row, joint in enumerate(moving)}
+    columns = {joint.name: column for column, joint in enumerate(arm)}
     gain, offset = np.zeros((len(moving), len(arm))), np.zeros(len(moving))
-    for row, joint in enumerate(moving):
-        if joint.mimic is None:
-            gain[row, names.index(joint.name)] = 1.0
-        else:
-            gain[row, names.index(joint.mimic.leader)] = joint.mimic.multiplier
-            offset[row] = joint.mimic.offset
+    for name, column in columns.items():
+        gain[rows[name], column] = 1.0
+    for follower in _followers(profile, moving):
+        row = rows[follower.name]
+        gain[row, columns[follower.leader]] = follower.multiplier
+        offset[row] = follower.offset
     return gain, offset
 
 
@@ -145,7 +157,7 @@ def build_arm_model(profile: RobotProfile) -> ArmModel:
         lower=lower,
         upper=upper,
         velocity=velocity,
-        coupling=_coupling(moving, arm) if len(moving) > len(arm) else None,
+        coupling=_coupling(profile, moving, arm) if len(moving) > len(arm) else None,
         kinematics=kinematics,
         tcp_frame=int(kinematics.getFrameId(profile.tcp_link)),
     )

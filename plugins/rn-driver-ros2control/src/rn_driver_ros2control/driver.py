@@ -192,11 +192,9 @@ class Ros2ControlDriver:
         if arm:
             with self._lock:
                 names, limits = self._profile.arm_joints, self._limits()
-                rest = (
-                    [measured[name].position for name in names]
-                    if self._place is None
-                    else self._place
-                )
+                rest = np.array([measured[name].position for name in names])
+                if self._place is not None:
+                    rest = self._profile.kinds.span(names).nearest(rest, self._place)
                 asked = [
                     wanted.get(name, float(place)) for name, place in zip(names, rest, strict=True)
                 ]
@@ -330,7 +328,12 @@ class Ros2ControlDriver:
             goal, due_s = self._target
             places = dict(zip(self._profile.arm_joints, goal.tolist(), strict=True))
             self._fault = violation(
-                report, link.joints(), places, time.monotonic() - due_s, self._options
+                report,
+                link.joints(),
+                places,
+                time.monotonic() - due_s,
+                self._options,
+                self._profile.kinds,
             )
             is_violated = bool(self._fault)
         if is_violated:

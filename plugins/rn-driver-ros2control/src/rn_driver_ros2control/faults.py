@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 from rn_driver_ros2control.link import ControllerReport, End, MeasuredJoint
 from rn_driver_ros2control.options import Ros2ControlOptions
+from roboneuron import JointKinds
 
 FAULTS = (End.PATH_TOLERANCE, End.GOAL_TOLERANCE, End.PREEMPTED, End.CANCELLED, End.ABORTED)
 """Ends of a goal that require attention."""
@@ -30,6 +31,7 @@ def violation(
     goal: Mapping[str, float],
     late_s: float,
     options: Ros2ControlOptions,
+    kinds: JointKinds,
 ) -> str:
     """The fault if a tolerance of the options is violated; empty if none is.
 
@@ -39,6 +41,7 @@ def violation(
         goal: target by joint [rad or m].
         late_s: time since the target was due [s].
         options: a tolerance of 0 is the controller's own.
+        kinds: of the joints.
     """
     fault = ""
     if options.path_tolerance:
@@ -46,7 +49,10 @@ def violation(
         fault = _worst(End.PATH_TOLERANCE, off, options.path_tolerance)
     is_due = 0.0 < options.goal_time_tolerance_s < late_s
     if is_due and options.goal_tolerance and not fault:
-        off = {name: abs(joints[name].position - place) for name, place in goal.items()}
+        off = {
+            name: abs(kinds.difference(name, joints[name].position, place))
+            for name, place in goal.items()
+        }
         fault = _worst(End.GOAL_TOLERANCE, off, options.goal_tolerance)
     return fault
 

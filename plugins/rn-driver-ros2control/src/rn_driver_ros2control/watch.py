@@ -195,8 +195,9 @@ class ControllerWatch:
         velocity = np.array([joints[name].velocity or 0.0 for name in names])
         if report is not None and by_reference and self.controller_state(link) == "active":
             wanted = np.array([report.reference.get(name, (np.nan, 0.0)) for name in names])
-            if np.isfinite(wanted).all() and np.abs(wanted[:, 0] - position).max() < _LEAST_CLOSE:
-                return wanted[:, 0], wanted[:, 1]
+            reference = self._profile.kinds.span(names).nearest(position, wanted[:, 0])
+            if np.isfinite(wanted).all() and np.abs(reference - position).max() < _LEAST_CLOSE:
+                return reference, wanted[:, 1]
         return position, np.where(np.isfinite(velocity), velocity, 0.0)
 
     def _stamp(self, joints: Sequence[MeasuredJoint]) -> int:

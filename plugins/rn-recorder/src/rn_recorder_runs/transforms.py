@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import struct
 import xml.etree.ElementTree as ET
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from rn_recorder_runs.files import Record
 from rn_recorder_runs.images import to_string
 from rn_recorder_runs.settings import CameraMount
-from roboneuron import quaternion_from_matrix
+from roboneuron import ConfigurationError, joint_kinds, quaternion_from_matrix
 
 F64 = NDArray[np.float64]
 TF, TF_STATIC, DESCRIPTION = "/tf", "/tf_static", "robot_description"
@@ -47,7 +47,6 @@ class _Joint:
     position_m: F64
     rotation: F64
     axis: F64
-    mimic: tuple[str, float, float] | None
 
     def at(self, position: float) -> FramePose:
         """The transform with the joint at that position [rad or m]."""
@@ -71,6 +70,12 @@ class RobotTransforms:
         self.urdf = urdf
         joints = _joints(urdf) if urdf else []
         self._moving = [joint for joint in joints if joint.kind in _MOVING]
+        kinds = joint_kinds(urdf)
+        try:
+            self._configuration = kinds.configuration([joint.name for joint in self._moving])
+        except ConfigurationError as error:
+            raise ValueError(f"the robot description cannot be read: {error}") from error
+        self._leaders = {follower.name: follower.leader for follower in kinds.followers}
         self._fixed = [joint.at(0.0) for joint in joints if joint.kind not in _MOVING]
         self._fixed += [
             FramePose(
@@ -99,17 +104,22 @@ class RobotTransforms:
         self, names: Sequence[str], positions: Sequence[float], stamp_ns: int, at_ns: int
     ) -> Record | None:
         """The message for /tf from joint states; None if they name none of the robot's joints."""
-        there = dict(zip(names, positions, strict=False))
-        found = []
-        for joint in self._moving:
-            source, factor, offset = joint.mimic or (joint.name, 1.0, 0.0)
-            if joint.name in there:
-                found.append(joint.at(there[joint.name]))
-            elif source in there:
-                found.append(joint.at(factor * there[source] + offset))
+        found = self._at(dict(zip(names, positions, strict=False)))
         return (
             Record(TF, TF_TYPE, at_ns, at_ns, 0, to_tf_message(found, stamp_ns)) if found else None
         )
+
+    def poses(self, joints: Mapping[str, float]) -> list[FramePose]:
+        """The static frames and those of joints at these positions by name [rad or m]."""
+        return [*self._fixed, *self._at(joints)]
+
+    def _at(self, joints: Mapping[str, float]) -> list[FramePose]:
+        positions = self._configuration.of(joints).tolist()
+        return [
+            joint.at(position)
+            for joint, position in zip(self._moving, positions, strict=True)
+            if joint.name in joints or self._leaders.get(joint.name) in joints
+        ]
 
 
 def to_tf_message(transforms: Sequence[FramePose], stamp_ns: int) -> bytes:
@@ -138,14 +148,6 @@ def _joints(urdf: str) -> list[_Joint]:
         )
         if parent is None or child is None:
             continue
-        mimic = joint.find("mimic")
-        follows = None
-        if mimic is not None:
-            follows = (
-                mimic.get("joint", ""),
-                float(mimic.get("multiplier", "1")),
-                float(mimic.get("offset", "0")),
-            )
         direction = _numbers(None if axis is None else axis.get("xyz"), (1.0, 0.0, 0.0))
         found.append(
             _Joint(
@@ -158,7 +160,6 @@ def _joints(urdf: str) -> list[_Joint]:
                     _numbers(None if origin is None else origin.get("rpy"), (0.0, 0.0, 0.0))
                 ),
                 axis=direction / max(float(np.linalg.norm(direction)), 1e-12),
-                mimic=follows,
             )
         )
     return found

@@ -4,8 +4,10 @@ answers say of it.
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -48,6 +50,8 @@ class Arm:
         self.slips_at_s = float("inf")
         self.pause_s = 0.0
         """Time that passes before each move."""
+        self.wraps = False
+        """It measures within half a turn."""
         self.max_duration_s = 120.0
         self.phase = "running"
 
@@ -111,6 +115,8 @@ class Arm:
         if hasattr(message, "points"):
             targets = dict(zip(message.joint_names, message.points[0].positions, strict=True))
             self.joint = targets.get("j1", self.joint)
+            if self.wraps:
+                self.joint = math.remainder(self.joint, 2.0 * math.pi)
             self.commanded = targets.get("finger", self.commanded * 0.04) / 0.04
             return
         self.place = self.place + np.array(message.data[:3])
@@ -265,3 +271,51 @@ def test_what_is_lost_between_two_moves_ends_the_call(arm: Arm) -> None:
     with pytest.raises(StateError, match="lost what it held"):
         place(arm, height, dy_m=0.1)
     assert 1.0 not in arm.grips, "it is not let go somewhere else"
+
+
+TURNING = (
+    '<robot name="r"><joint name="j1" type="{}"><parent link="a"/><child link="b"/></joint></robot>'
+)
+
+
+@pytest.mark.parametrize(
+    ("kind", "ends", "start", "goal", "points"),
+    [
+        ("continuous", math.inf, 3.1, -3.1, [2 * math.pi - 3.1]),
+        ("continuous", math.inf, 15.0, 2.0, [2.0 + 4 * math.pi]),
+        ("continuous", 3.0, 2.9, -2.9, [0.0, -2.9]),  # half a turn at a time
+        ("continuous", 3.0, 1.0, -2.0, [-2.0]),
+        ("revolute", 3.0, 2.9, -2.9, [-2.9]),
+    ],
+)
+def test_a_continuous_joint_is_moved_the_shorter_way_within_its_limits(
+    arm: Arm, kind: str, ends: float, start: float, goal: float, points: list[float]
+) -> None:
+    gate: Any = arm
+    profile = replace(PROFILE, urdf=TURNING.format(kind))
+    endpoint = exposed()
+    endpoint.profile = profile
+    limit = JointLimit(
+        lower=-ends, upper=ends, velocity=1, acceleration=1, is_continuous=kind == "continuous"
+    )
+    joint_mover, arm.joint = JointMover(endpoint, {"j1": limit}, gate, arm.host), start
+    asked = MoveJoints(positions={"j1": goal})
+    joints = arm.joints(endpoint, 1.0)
+    assert joints is not None
+    request, duration_s = joint_mover.request(asked, joints, CONTEXT)
+    (message,) = request.messages
+    assert [point.positions[0] for point in message.points] == pytest.approx(points)
+    last = message.points[-1].time_from_start
+    assert last.sec + last.nanosec * 1e-9 == pytest.approx(duration_s)
+
+
+def test_a_goal_is_reached_in_whatever_turns_it_is_measured(arm: Arm) -> None:
+    gate: Any = arm
+    endpoint = exposed()
+    endpoint.profile = replace(PROFILE, urdf=TURNING.format("continuous"))
+    limit = JointLimit(velocity=1, acceleration=1, is_continuous=True)
+    joint_mover, arm.joint = JointMover(endpoint, {"j1": limit}, gate, arm.host), 3.1
+    arm.wraps = True
+    moved = anyio.run(joint_mover, MoveJoints(positions={"j1": -3.1}), CONTEXT)
+    assert moved.position["j1"] == pytest.approx(-3.1)
+    assert moved.error == pytest.approx(0.0, abs=1e-5)

@@ -134,13 +134,13 @@ def postures(profile: RobotProfile) -> Iterator[JointSample]:
     home = home_sample(profile)
     limits, arm = profile.limits, home.position[: len(profile.arm_joints)]
     assert limits is not None
-    inner = 0.2 * (limits.upper - limits.lower)
+    inner = np.minimum(0.2 * (limits.upper - limits.lower), 0.1)
     signs = np.where(np.arange(len(arm)) % 2, 1.0, -1.0)
     yield home
     for turn in (0.15, -0.15):
         moved = np.clip(
             arm + turn * signs,
-            limits.lower + np.minimum(inner, 0.1),
-            limits.upper - np.minimum(inner, 0.1),
+            limits.lower + inner,
+            limits.upper - inner,
         )
         yield arm_sample(profile, moved)

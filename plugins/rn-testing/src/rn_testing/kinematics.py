@@ -73,10 +73,12 @@ def read_chain(profile: RobotProfile) -> tuple[UrdfJoint, ...]:
 
 
 def place_tcp(profile: RobotProfile, positions: Mapping[str, float]) -> Pose:
-    """Pose of the TCP in the base frame; joints without a position are at 0."""
+    """Pose of the TCP in the base frame; joints without a position are at rest."""
+    configuration = profile.kinds.configuration()
+    placed = dict(zip(configuration.order, configuration.of(positions).tolist(), strict=True))
     pose = np.eye(4)
     for joint in read_chain(profile):
-        pose = pose @ joint.transform(positions.get(joint.name, 0.0))
+        pose = pose @ joint.transform(placed.get(joint.name, 0.0))
     return Pose(position_m=pose[:3, 3], quaternion_xyzw=quaternion_from_matrix(pose[:3, :3]))
 
 

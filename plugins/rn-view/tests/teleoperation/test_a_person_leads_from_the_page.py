@@ -7,6 +7,7 @@ import math
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from urllib.error import HTTPError
 from urllib.request import Request, urlopen
@@ -202,3 +203,31 @@ def test_a_viewer_has_no_sliders_and_a_token_is_needed_to_read_them(serve, sourc
     assert ask(url)[0] == 401
     assert ask(url, Authorization="Bearer nobody")[0] == 401
     page.close()
+
+
+def endless(clock: Clock) -> SliderGoal:
+    """The lead of an arm whose first joint turns without end."""
+    robot = profile()
+    assert robot.limits is not None
+    lower, upper = robot.limits.lower.copy(), robot.limits.upper.copy()
+    lower[0], upper[0] = -math.inf, math.inf
+    urdf = robot.urdf.replace('name="turn" type="revolute"', 'name="turn" type="continuous"')
+    limits = replace(robot.limits, lower=lower, upper=upper)
+    return SliderGoal(replace(robot, urdf=urdf, limits=limits), clock)
+
+
+@pytest.mark.parametrize("turns", [-2, 0, 1])
+@pytest.mark.parametrize(("aim", "moves"), [(3.1, -0.043), (-3.1, 0.04), (-2.9, 0.05)])
+def test_a_slider_of_an_endless_joint_goes_the_shorter_way_from_any_turn(
+    clock: Clock, turns: int, aim: float, moves: float
+) -> None:
+    """At a quarter of 2 rad/s, for a tenth of a second."""
+    lead, start = endless(clock), -3.14 + 2 * math.pi * turns
+    assert lead.bounds["turn"] == pytest.approx((-math.pi, math.pi))
+    measured = {**HOME, "turn": start}
+    assert lead.begin("page", measured)["turn"] == pytest.approx(-3.14)
+    lead.aim("page", "turn", aim)
+    clock.now_s += 0.1
+    first = lead.goal(measured)
+    assert first is not None
+    assert first["turn"] - start == pytest.approx(moves, abs=1e-3)

@@ -16,6 +16,15 @@ from .image import (
     check_rgb8 as check_rgb8,
     frame_from_buffer as frame_from_buffer,
 )
+from .joints import (
+    MimicJoint as MimicJoint,
+    JointKinds as JointKinds,
+    JointSpan as JointSpan,
+    TURN as TURN,
+    joint_kinds as joint_kinds,
+    nearest_turn as nearest_turn,
+    urdf_joints as urdf_joints,
+)
 from .motion import (
     STATE_STEP_S as STATE_STEP_S,
     Hold as Hold,
@@ -45,8 +54,6 @@ from .profile import (
     RobotProfile as RobotProfile,
     Workspace as Workspace,
     check_topic as check_topic,
-    prismatic_joints as prismatic_joints,
-    urdf_joints as urdf_joints,
 )
 from .protocols import (
     Acceleration as Acceleration,

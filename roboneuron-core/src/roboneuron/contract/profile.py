@@ -6,36 +6,19 @@ Arrays are kept as read-only copies.
 
 from __future__ import annotations
 
-import functools
 import re
-import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
 from roboneuron.contract.arrays import F64, ReadOnly, freeze
+from roboneuron.contract.joints import JointKinds, joint_kinds
 from roboneuron.contract.observation import CameraCalibration
 from roboneuron.errors import InvalidInputError
 
 ARRIVED_RAD, ARRIVED_M = 0.01, 0.001
 """Distance from its target within which a revolute and a prismatic joint count as arrived."""
-
-
-@functools.lru_cache(maxsize=16)
-def urdf_joints(urdf: str) -> tuple[ET.Element, ...]:
-    """The joints of a URDF, not to be modified; empty for an invalid URDF."""
-    try:
-        return tuple(ET.fromstring(urdf).findall("joint"))
-    except ET.ParseError:
-        return ()
-
-
-@functools.lru_cache(maxsize=16)
-def prismatic_joints(urdf: str) -> frozenset[str]:
-    """Names of the joints of a URDF whose positions are in metres; empty for an invalid URDF."""
-    slides = (joint for joint in urdf_joints(urdf) if joint.get("type") == "prismatic")
-    return frozenset(joint.get("name", "") for joint in slides)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -44,7 +27,8 @@ class JointLimits(ReadOnly):
     `RobotProfile.arm_joints`.
 
     Attributes:
-        lower, upper: position [rad or m].
+        lower, upper: position [rad or m]; of a continuous joint -inf and inf where it turns without
+            end.
         velocity: [rad/s or m/s].
         acceleration: [rad/s^2 or m/s^2].
         effort: [Nm or N].
@@ -275,6 +259,11 @@ class RobotProfile:
             )
 
     @property
+    def kinds(self) -> JointKinds:
+        """Kinds of the joints of its description."""
+        return joint_kinds(self.urdf)
+
+    @property
     def each_arm(self) -> tuple[ArmProfile, ...]:
         """The arms; without `arms`, the one that the profile's own fields describe."""
         return self.arms or (
@@ -317,7 +306,7 @@ class RobotProfile:
         """Distance within which a joint counts as arrived: 0.01 rad or 1 mm, and at most 1/40 of a
         gripper's travel.
         """
-        arrived = ARRIVED_M if joint in prismatic_joints(self.urdf) else ARRIVED_RAD
+        arrived = ARRIVED_M if joint in self.kinds.prismatic else ARRIVED_RAD
         for gripper in self.grippers:
             if joint == gripper.joint:
                 return min(arrived, abs(gripper.open_position - gripper.closed_position) / 40.0)

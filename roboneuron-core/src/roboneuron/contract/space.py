@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from roboneuron.contract.arrays import F64
-from roboneuron.contract.profile import RobotProfile, prismatic_joints
+from roboneuron.contract.profile import RobotProfile
 from roboneuron.errors import InvalidInputError, UnsafeError
 
 ACTION_LABEL = "ee_delta_base"
@@ -200,7 +200,7 @@ def robot_space(kind: str, profile: RobotProfile, rate_hz: float = 0.0) -> Contr
         return EE_DELTA
     if not profile.arm_joints:
         raise InvalidInputError(f"Robot {profile.name!r} has no arm that {kind!r} could move.")
-    slides = prismatic_joints(profile.urdf)
+    slides = profile.kinds.prismatic
     per_s = "/s" if kind == "joint_velocity" else ""
     channels: list[Channel] = []
     for arm in profile.each_arm:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from roboneuron.contract import F64, JointSample, RobotProfile, prismatic_joints
+from roboneuron.contract import F64, JointSample, RobotProfile
 from roboneuron.errors import InvalidInputError, NotReadyError, UnsafeError
 from roboneuron.gate.motion.command import pick
 
@@ -37,7 +37,8 @@ class JointWatch:
             if profile.limits is None
             else np.asarray(profile.limits.velocity, dtype=np.float64)
         )
-        slides = prismatic_joints(profile.urdf)
+        slides = profile.kinds.prismatic
+        self._span = profile.kinds.span(profile.arm_joints)
         self._slack = np.array(
             [_SLACK_M if name in slides else _SLACK for name in profile.arm_joints]
         )
@@ -96,14 +97,14 @@ class JointWatch:
         """
         if self._velocity is None:
             return
-        before = self._position
+        moved = np.abs(self._span.difference(self._position, position))
         farthest = _HASTE * self._velocity * (now_s - self._at_s) + self._slack
-        excess = np.abs(position - before) - farthest
+        excess = moved - farthest
         if excess.max() > 0.0:
             i = int(excess.argmax())
             raise UnsafeError(
                 f"{self._names[i]} is measured at {position[i]:.4f}, "
-                f"{abs(position[i] - before[i]):.4f} from where it "
+                f"{moved[i]:.4f} from where it "
                 f"was {now_s - self._at_s:.3f} s before; no arm is that fast.",
                 hint="Does something else publish joint states?",
             )

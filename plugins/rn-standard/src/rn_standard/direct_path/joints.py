@@ -4,6 +4,7 @@ accelerations, times.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -34,6 +35,7 @@ PLANNER_TYPES: tuple[MessageName[RosMessage], ...] = (
     MessageName("moveit_msgs/msg/RobotState"),
 )
 """Messages whose joints describe the robot's present or assumed state, not its target."""
+_HALF_TURN = math.pi * (1.0 + 1e-6)
 _SAME = 1e-3
 """Tolerance of a first point at time 0, which may only repeat the present position: a milliradian
 or millimetre.
@@ -114,6 +116,8 @@ class _JointMotion:
         for leg in (
             self._trajectory(message, lasts_s) if is_trajectory else self._state(message, lasts_s)
         ):
+            if not is_velocity:
+                self._check_turns(leg)
             if leg.duration_s is not None:
                 self._commit(leg, is_velocity)
             self._position.update(zip(leg.names, leg.position.tolist(), strict=True))
@@ -220,6 +224,23 @@ class _JointMotion:
             if new is None:
                 raise self._too_hard(leg, name, distance)
             self._speeds[name] = new
+
+    def _check_turns(self, leg: Leg) -> None:
+        """Check that continuous joints turn the same way whether their driver counts turns or takes
+        the shorter way.
+        """
+        for name, end in zip(leg.names, leg.position.tolist(), strict=True):
+            limit, start = self._limits[name], self._position.get(name)
+            if start is None or not limit.is_continuous or abs(end - start) <= _HALF_TURN:
+                continue
+            near = limit.nearest(start, end)
+            raise RefusedError(
+                f"{leg.where}{name} is continuous and would turn by {abs(end - start):.4g} rad in "
+                "one part, allowed is half a turn: beyond it robots differ in the way they take.",
+                hint=f"Write {near:.6g}, which is the same posture."
+                if abs(near - start) <= _HALF_TURN
+                else f"Put a point at {(start + end) / 2.0:.6g} between.",
+            )
 
     def _rest(self, leg: Leg) -> None:
         """Check that the joints can rest at the end of this leg."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from rn_standard.direct_path.message_types import RosMessage
 from rn_standard.direct_path.path_limits import Leg, LimitError, PathLimiter, check_zones
 from rn_standard.direct_path.plans import is_plan_only, plans_in
 from rn_standard.direct_path.request import AllowedEndpoint
-from roboneuron import F64, JointSample, Obstacle, RefusedError
+from roboneuron import F64, JointKinds, JointSample, Obstacle, RefusedError
 
 _PERIOD_S = 0.05
 """Period of the checks."""
@@ -36,9 +37,9 @@ def watch_of(
         joints: returns the newest measured joints.
     """
     is_moving = any(plans_in(message) and not is_plan_only(message) for message in messages)
-    if allowed.path is None or not is_moving:
+    if allowed.path is None or allowed.profile is None or not is_moving:
         return None
-    return WayWatch(allowed.path(), allowed.endpoint.zones, joints)
+    return WayWatch(allowed.path(), allowed.endpoint.zones, joints, allowed.profile.kinds)
 
 
 class WayWatch:
@@ -48,6 +49,7 @@ class WayWatch:
         limiter: checks the path between two measurements.
         zones: additional boxes that no TCP may enter.
         joints: returns the newest measured joints; None without recent ones.
+        kinds: of the joints of the robot.
         now_s: monotonic time [s].
     """
 
@@ -56,9 +58,11 @@ class WayWatch:
         limiter: PathLimiter,
         zones: Sequence[Obstacle],
         joints: Callable[[], JointSample | None],
+        kinds: JointKinds,
         now_s: Callable[[], float] = time.monotonic,
     ) -> None:
         self._limiter, self._zones, self._joints, self._now_s = limiter, zones, joints, now_s
+        self._kinds = kinds
         self._last: JointSample | None = None
         self._due_s = 0.0
         self._seen_s = now_s()
@@ -78,7 +82,11 @@ class WayWatch:
         before = self._last
         if before is None:
             self._last = joints
-        elif before.names != joints.names or _has_moved(before.position, joints.position):
+            return
+        # in the turns of the measurement before, so that the path between them is the short one
+        position = self._kinds.span(joints.names).nearest(_at(before, joints), joints.position)
+        joints = replace(joints, position=position)
+        if before.names != joints.names or _has_moved(before.position, joints.position):
             self._last = joints
             self._judge(before, joints)
 
@@ -99,6 +107,13 @@ class WayWatch:
             raise RefusedError(
                 f"The arm has left its limits. {error.message}", rule="path"
             ) from error
+
+
+def _at(before: JointSample, joints: JointSample) -> F64:
+    """Positions before, in the order of `joints`; as in `joints` for those that were not known."""
+    known = dict(zip(before.names, before.position.tolist(), strict=True))
+    values = zip(joints.names, joints.position.tolist(), strict=True)
+    return np.array([known.get(name, value) for name, value in values])
 
 
 def _has_moved(before: F64, now: F64) -> bool:

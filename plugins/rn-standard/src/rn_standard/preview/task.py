@@ -65,7 +65,7 @@ class TwinCell:
         self._arm, self._twin, self._profile = arm, twin, profile
         wanted = (*spec.cameras, *spec.optional_cameras)
         self._cameras = [camera for camera in profile.cameras if camera.role in wanted]
-        self._still = StillClock()
+        self._still = StillClock(kinds=profile.kinds)
         self._instruction, self._failure = "", ""
         self._has_acted, self._is_done = False, False
         self._due_s = 0.0

@@ -69,7 +69,7 @@ class LiveCell:
         self._topics = dict(topics)
         self._cameras = list(cameras)
         self._inputs = Inputs(host)
-        self._still = StillClock()
+        self._still = StillClock(kinds=None if profile is None else profile.kinds)
         self._instruction = ""
         self._count = self._errors = self._ticket = 0
         self._pid: int | None = None

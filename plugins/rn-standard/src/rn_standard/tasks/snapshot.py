@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from roboneuron import ArmState, Frame, Observation, Pose
+from roboneuron import ArmState, Frame, JointKinds, Observation, Pose, joint_kinds
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -77,17 +77,19 @@ class StillClock:
 
     Args:
         least: displacement that counts as motion [rad or m].
+        kinds: of the joints of the robot; None if it has no description.
     """
 
-    def __init__(self, least: float = 0.002) -> None:
-        self._least = least
+    def __init__(self, least: float = 0.002, kinds: JointKinds | None = None) -> None:
+        self._least, self._kinds = least, kinds or joint_kinds("")
         self._anchor: dict[str, float] = {}
         self._since_s = 0.0
 
     def observe(self, now_s: float, joints: Mapping[str, float]) -> float:
         """Add measured positions; return the time since the last motion [s]."""
         moved = self._anchor.keys() != joints.keys() or any(
-            abs(joints[name] - place) > self._least for name, place in self._anchor.items()
+            abs(self._kinds.difference(name, place, joints[name])) > self._least
+            for name, place in self._anchor.items()
         )
         if moved:
             self._anchor, self._since_s = dict(joints), now_s

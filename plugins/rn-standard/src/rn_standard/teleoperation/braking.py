@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from roboneuron import JointCommand, JointSample, RobotProfile
+from roboneuron import JointCommand, JointKinds, JointSample, RobotProfile
 
 BRAKE_S = 0.07
 """Time in which an arm that is led can stop: no joint is led faster than its acceleration times
@@ -61,11 +61,11 @@ class Braking:
         return False
 
 
-def is_away(command: JointCommand, joints: JointSample) -> bool:
+def is_away(command: JointCommand, joints: JointSample, kinds: JointKinds) -> bool:
     """True if a measured joint is not where a command sends it, within `NEAR`."""
     found = dict(zip(joints.names, joints.position.tolist(), strict=False))
     goals = zip(command.names, command.position.tolist(), strict=True)
-    return any(abs(found[name] - goal) > NEAR for name, goal in goals)
+    return any(abs(kinds.difference(name, found[name], goal)) > NEAR for name, goal in goals)
 
 
 def stoppable(command: JointCommand, joints: JointSample, profile: RobotProfile) -> JointCommand:

@@ -195,7 +195,7 @@ class LeadInControl:
         command, measured = self._executed.command, self._control.watched.joints
         if self._limited is None or command is None or measured is None:
             return False
-        return bool(self._limited.acted) or is_away(command, measured)
+        return bool(self._limited.acted) or is_away(command, measured, self._control.profile.kinds)
 
     def _is_holding(self) -> bool:
         return self._control.is_holding or not self._control.is_active

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from roboneuron import JointSample, NotReadyError
+from roboneuron import JointKinds, JointSample, NotReadyError
 
 _REST, _REST_S = 5e-4, 0.1
 """A joint that moves by less than this [rad or m] in this time is at rest."""
@@ -20,9 +20,10 @@ def position_of(joints: JointSample, name: str) -> float:
 class JointRest:
     """Detects from successive measurements that joints are at rest."""
 
-    def __init__(self, names: Iterable[str]) -> None:
-        """`names` are of the joints."""
+    def __init__(self, names: Iterable[str], kinds: JointKinds) -> None:
+        """`names` are of the joints, `kinds` those of the robot."""
         self._names = tuple(names)
+        self._kinds = kinds
         self._since_s: float | None = None
         self._there: list[float] = []
 
@@ -31,7 +32,7 @@ class JointRest:
         here = [position_of(joints, name) for name in self._names]
         has_moved = (
             not self._there
-            or max(abs(a - b) for a, b in zip(here, self._there, strict=True)) > _REST
+            or max(map(abs, map(self._kinds.difference, self._names, self._there, here))) > _REST
         )
         if self._since_s is None or has_moved:
             self._since_s, self._there = now_s, here

@@ -20,6 +20,7 @@ from rn_standard.direct_path.speeds import shortest_s
 from rn_standard.stepped.clock import is_stepped
 from rn_standard.stepped.watch import SteppedWorld
 from rn_standard.tools_arm.grip import Grip, is_lost
+from rn_standard.tools_arm.joint_goals import nearest_goals, schema_of, trajectory_to
 from rn_standard.tools_arm.joint_rest import JointRest, position_of
 from roboneuron import (
     Arguments,
@@ -96,10 +97,7 @@ def joint_tools(host: Host, endpoints: Iterable[ExposedEndpoint], gate: MotionGa
     limits = joint_space.JointLimit.by_joint(found.profile)
     mover = JointMover(found, limits, gate, host)
     joints: JsonSchemaValue = {
-        "properties": {
-            name: {"type": "number", "minimum": limit.lower, "maximum": limit.upper}
-            for name, limit in limits.items()
-        },
+        "properties": {name: schema_of(limit) for name, limit in limits.items()},
         "additionalProperties": False,
     }
     return [
@@ -145,6 +143,7 @@ class JointMover:
         stepped = is_stepped(host.config)
         self._world = SteppedWorld(host, exposed.namespace) if stepped else None
         assert exposed.profile is not None
+        self._profile = exposed.profile
         # by joint: the hand of its arm
         self._grip_of: dict[str, Grip] = {}
         for arm in exposed.profile.each_arm:
@@ -179,12 +178,13 @@ class JointMover:
         self, arguments: MoveJoints, context: CallContext, stage: Stage, halt: threading.Event
     ) -> JointMove:
         exposed, gate = self._exposed, self._gate
-        target, dry_run = arguments.positions, arguments.dry_run
+        dry_run = arguments.dry_run
         if self._world is not None and not dry_run:
             self._world.await_rest()
         joints = gate.joints(exposed, _MEASURED_S)
         if joints is None:
             raise self._unmeasured()
+        target = nearest_goals(arguments.positions, joints, self._limits)
         request, duration_s = self.request(arguments, joints, context)
         if dry_run:
             verdict = gate.ask(exposed, request)
@@ -219,20 +219,25 @@ class JointMover:
         """What the gate is asked for a call that begins at `joints`, and how long it lasts [s].
         Raises RefusedError, NotReadyError.
         """
-        target, asked_s = arguments.positions, arguments.duration_s
+        target, asked_s = (
+            nearest_goals(arguments.positions, joints, self._limits),
+            arguments.duration_s,
+        )
         duration_s = asked_s or self._easy_s(target, joints)
         request = gate_request(
             context,
             "move_joints",
             self._exposed,
-            [_message(target, duration_s)],
+            [trajectory_to(target, duration_s, joints, self._limits)],
             arguments.given(),
             joints=joints,
             dry_run=arguments.dry_run,
         )
         if asked_s is None and (slower := self._gate.slowdown(request)) > 1.0:
             duration_s *= slower * 1.01  # rounding
-            request = replace(request, messages=(_message(target, duration_s),))
+            request = replace(
+                request, messages=(trajectory_to(target, duration_s, joints, self._limits),)
+            )
         return request, duration_s
 
     def _unmeasured(self) -> NotReadyError:
@@ -260,13 +265,21 @@ class JointMover:
         return max(needed)
 
     def _is_there(self, target: Mapping[str, float], joints: JointSample) -> bool:
-        profile = self._exposed.profile
-        assert profile is not None
+        profile = self._profile
         left = self._left(target, joints)
         return all(
-            abs(value - position_of(joints, name)) < profile.tolerance(name)
+            abs(profile.kinds.difference(name, position_of(joints, name), value))
+            < profile.tolerance(name)
             for name, value in left.items()
         )
+
+    def _error(self, target: Mapping[str, float], joints: JointSample) -> float:
+        return max(self._off_by(target, joints).values(), default=0.0)
+
+    def _off_by(self, target: Mapping[str, float], joints: JointSample) -> dict[str, float]:
+        """Distance from the target by joint [rad or m]."""
+        difference = self._profile.kinds.difference
+        return {n: abs(difference(n, position_of(joints, n), v)) for n, v in target.items()}
 
     def _left(self, target: Mapping[str, float], joints: JointSample) -> Mapping[str, float]:
         """Remaining targets, without those of grippers that an object keeps from closing, since
@@ -291,7 +304,7 @@ class JointMover:
             StateError: the joints are no longer measured, or do not arrive.
         """
         began_s = told_s = time.monotonic()
-        rest = JointRest(target)
+        rest = JointRest(target, self._profile.kinds)
         yield TimedCommand(message=message, due_s=began_s)
         while True:
             now_s = time.monotonic()
@@ -309,8 +322,8 @@ class JointMover:
             if now_s - told_s >= 0.5:
                 told_s = now_s
                 stage(
-                    f"{now_s - began_s:.1f} of {duration_s:.1f} s, {_error(target, joints):.3f} "
-                    "to go"
+                    f"{now_s - began_s:.1f} of {duration_s:.1f} s, "
+                    f"{self._error(target, joints):.3f} to go"
                 )
             yield TimedCommand(message=None, due_s=now_s + 0.02)
 
@@ -327,7 +340,7 @@ class JointMover:
             raise self._off(target, joints)
 
     def _off(self, target: Mapping[str, float], joints: JointSample) -> StateError:
-        off = ", ".join(f"{n} {abs(v - position_of(joints, n)):.4f}" for n, v in target.items())
+        off = ", ".join(f"{n} {v:.4f}" for n, v in self._off_by(target, joints).items())
         return StateError(
             f"The joints do not come nearer to the target; they are off by {off} [rad or m]."
         )
@@ -344,7 +357,7 @@ class JointMover:
         return JointMove(
             robot=self._exposed.robot,
             position={name: round(position_of(joints, name), 5) for name in target},
-            error=round(_error(self._left(target, joints), joints), 5),
+            error=round(self._error(self._left(target, joints), joints), 5),
             duration_s=round(duration_s, 3),
             dry_run=dry_run,
             allowed=allowed,
@@ -364,22 +377,3 @@ def _any(held: Iterable[bool | None]) -> bool | None:
     """True if one of several hands holds an object; None if unknown."""
     told = list(held)
     return True if True in told else None if None in told else False
-
-
-def _message(target: Mapping[str, float], duration_s: float) -> object:
-    """Create a JointTrajectory of one point."""
-    from builtin_interfaces.msg import Duration  # heavy
-    from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint  # heavy
-
-    seconds, nanoseconds = divmod(round(duration_s * 1e9), 1_000_000_000)
-    point = JointTrajectoryPoint(
-        positions=[float(value) for value in target.values()],
-        time_from_start=Duration(sec=seconds, nanosec=nanoseconds),
-    )
-    return JointTrajectory(joint_names=list(target), points=[point])
-
-
-def _error(target: Mapping[str, float], joints: JointSample) -> float:
-    return max(
-        (abs(value - position_of(joints, name)) for name, value in target.items()), default=0.0
-    )

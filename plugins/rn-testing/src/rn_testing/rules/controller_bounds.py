@@ -71,6 +71,8 @@ def _check_limits(case: ControllerCase) -> None:
         for joint in range(count):
             for bound, inward in ((limits.lower[joint], 1e-4), (limits.upper[joint], -1e-4)):
                 arm = home.position[:count].copy()
+                if not np.isfinite(bound):  # it turns without end
+                    continue
                 arm[joint] = bound + inward
                 joints = arm_sample(profile, arm)
                 for axis in range(6):
@@ -87,7 +89,7 @@ def _check_limits(case: ControllerCase) -> None:
 def _reach_m(profile: RobotProfile) -> float:
     """Upper bound on the distance of the TCP from the base, from the URDF."""
     chain = read_chain(profile)
-    slides = sum(joint.upper - joint.lower for joint in chain if joint.kind == "prismatic")
+    slides = sum(profile.kinds.farthest(joint.name) for joint in chain if joint.kind == "prismatic")
     return sum(float(np.linalg.norm(joint.origin[:3, 3])) for joint in chain) + slides
 
 

@@ -249,6 +249,8 @@ def _check_limits(case: RobotCase) -> None:
         start = arm_position(case, driver)
         for joint, name in enumerate(names):
             for bound, beyond in ((limits.lower[joint], -1.0), (limits.upper[joint], 1.0)):
+                if not np.isfinite(bound):  # it turns without end
+                    continue
                 position = start.copy()
                 position[joint] = bound + beyond
                 try:

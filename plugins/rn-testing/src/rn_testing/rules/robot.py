@@ -57,12 +57,15 @@ def _check_limits(case: RobotCase) -> None:
     require(len(set(profile.arm_joints)) == count, "an arm has two arm_joints of one name")
     if limits is None:
         raise Violation("an arm has no limits")
+    turning = profile.kinds.continuous  # these may have no position limits
     for name in ("lower", "upper", "velocity", "acceleration", "effort"):
         values = getattr(limits, name)
         require(
             values.shape == (count,), f"limits.{name} has shape {values.shape}, expected ({count},)"
         )
-        require(bool(np.isfinite(values).all()), f"limits.{name} holds a value that is not finite")
+        endless = [name in ("lower", "upper") and n in turning for n in profile.arm_joints]
+        good = np.isfinite(values) | (np.array(endless) & ~np.isnan(values))
+        require(bool(good.all()), f"limits.{name} holds a value that is not finite")
     require(bool((limits.lower < limits.upper).all()), "a lower limit is not below its upper limit")
     for name in ("velocity", "acceleration", "effort"):
         require(

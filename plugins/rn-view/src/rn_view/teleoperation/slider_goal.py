@@ -6,6 +6,7 @@ teleoperator, whose actions pass control like any others.
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Callable, Mapping
@@ -32,7 +33,8 @@ class SliderGoal:
     """Joint goal of one robot, and the page that leads it; usable from any thread.
 
     Attributes:
-        bounds: lowest and highest position by joint [rad or m], arms first, then grippers.
+        bounds: lowest and highest position by joint [rad or m], arms first, then grippers; half a
+            turn either way for a joint that turns without end.
     """
 
     def __init__(self, profile: RobotProfile, clock: Callable[[], float] = time.monotonic) -> None:
@@ -49,11 +51,17 @@ class SliderGoal:
         self.bounds: dict[str, tuple[float, float]] = {}
         self._speeds: dict[str, float] = {}
         self._arm_joints = frozenset(profile.arm_joints)
+        self._kinds = profile.kinds
+        self._endless: set[str] = set()
         limits = profile.limits
         if limits is None:
             return
         for i, joint in enumerate(profile.arm_joints):
-            self.bounds[joint] = float(limits.lower[i]), float(limits.upper[i])
+            low, high = float(limits.lower[i]), float(limits.upper[i])
+            if not (math.isfinite(low) and math.isfinite(high)):
+                self._endless.add(joint)
+                low, high = -math.pi, math.pi
+            self.bounds[joint] = low, high
             self._speeds[joint] = _SPEED_SHARE * float(limits.velocity[i])
         for gripper in profile.grippers:
             ends = sorted((gripper.closed_position, gripper.open_position))
@@ -77,19 +85,18 @@ class SliderGoal:
                 raise RefusedError("Another page leads this robot.", rule="operator")
             self._leader = who
             self._renewed_s = self._asked_s = self._clock()
-            self._aims = {
-                joint: min(max(measured[joint], low), high)
-                for joint, (low, high) in self.bounds.items()
-            }
             self._goals = {joint: measured[joint] for joint in self.bounds}
-            return dict(self._aims)
+            self._aims = {joint: self._bounded(joint, at) for joint, at in self._goals.items()}
+            return {
+                joint: self._kinds.nearest(joint, 0.0, aim) if joint in self._endless else aim
+                for joint, aim in self._aims.items()
+            }
 
     def aim(self, who: object, joint: str, position: float) -> None:
         """Set the target of a joint [rad or m]; ignored unless the page leads."""
-        low, high = self.bounds[joint]
         with self._lock:
             if self._leader is who:
-                self._aims[joint] = min(max(position, low), high)
+                self._aims[joint] = self._bounded(joint, position)
 
     def renew(self, who: object) -> bool:
         """Record that the page of `who` is still open; returns whether it still leads."""
@@ -127,10 +134,17 @@ class SliderGoal:
                 step = self._speeds[joint] * step_s
                 goal = self._goals[joint] + min(max(aim - self._goals[joint], -step), step)
                 if joint in self._arm_joints and joint in measured:
-                    at = measured[joint]
+                    at = self._kinds.nearest(joint, self._goals[joint], measured[joint])
                     goal = min(max(goal, at - _MOST_AHEAD), at + _MOST_AHEAD)
                 self._goals[joint] = goal
             return dict(self._goals)
+
+    def _bounded(self, joint: str, position: float) -> float:
+        """A position within the bounds, in the turns of the goal."""
+        if joint in self._endless:
+            return self._kinds.nearest(joint, self._goals[joint], position)
+        low, high = self.bounds[joint]
+        return min(max(position, low), high)
 
     def _is_led(self) -> bool:
         """Whether a page leads; the caller holds the lock."""

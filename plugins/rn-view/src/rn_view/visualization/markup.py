@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Mapping, Sequence
 from html import escape
@@ -124,6 +125,10 @@ def joints_table(
     rows = []
     for name, lower, upper in zip(profile.arm_joints, limits.lower, limits.upper, strict=True):
         at = joints.get(name)
+        if at is not None and not math.isfinite(upper - lower):  # it turns without end
+            at = profile.kinds.nearest(name, 0.0, at)
+            upper = math.pi / (1.0 - 2.0 * _NEAR)
+            lower = -upper
         share = 0.0 if at is None else (at - lower) / (upper - lower)
         colour = _BAD if at is not None and not _NEAR < share < 1.0 - _NEAR else "#228be6"
         mark = (

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
@@ -28,11 +29,12 @@ class RobotModel:
         import yourdfpy  # heavy
 
         self.profile = profile
-        self.urdf: yourdfpy.URDF = yourdfpy.URDF.load(io.BytesIO(profile.urdf.encode()))
+        self.urdf: yourdfpy.URDF = yourdfpy.URDF.load(io.BytesIO(_one_number_each(profile)))
+        self._configuration = profile.kinds.configuration(self.urdf.actuated_joint_names)
 
     def configuration(self, joints: Mapping[str, float]) -> F64:
-        """Joint positions in the order of the URDF; 0 for a joint without a measurement."""
-        return np.array([joints.get(name, 0.0) for name in self.urdf.actuated_joint_names])
+        """Joint positions in the order of the URDF, as `JointConfiguration` has them."""
+        return self._configuration.of(joints)
 
     def tcps_of(self, joints: Mapping[str, float]) -> dict[str, F64]:
         """TCP pose (4, 4) of each arm in the base frame. Leaves the model at these joint
@@ -55,3 +57,25 @@ class RobotModel:
         self.urdf.update_cfg(self.configuration(joints))
         pose = self.urdf.get_transform(found.child, self.profile.base_link)
         return np.asarray(pose, dtype=np.float64)[:3, 3]
+
+
+def _one_number_each(profile: RobotProfile) -> bytes:
+    """The description with followers that are set as others are, by `JointConfiguration`, and with
+    axes of unit length: yourdfpy knows no follower of a follower, and slides by the axis as it is.
+    Joints that no number describes are fixed.
+    """
+    try:
+        robot = ET.fromstring(profile.urdf)
+    except ET.ParseError as error:
+        raise ValueError(f"The robot description is no XML: {error}") from error
+    for joint in robot.findall("joint"):
+        for mimic in joint.findall("mimic"):
+            joint.remove(mimic)
+        axis = joint.find("axis")
+        if axis is not None:
+            direction = np.array([float(word) for word in axis.get("xyz", "1 0 0").split()])
+            direction /= float(np.linalg.norm(direction)) or 1.0
+            axis.set("xyz", " ".join(map(repr, direction.tolist())))
+        if joint.get("name") not in profile.kinds.moving:
+            joint.set("type", "fixed")
+    return ET.tostring(robot)

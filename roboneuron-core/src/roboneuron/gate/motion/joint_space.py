@@ -9,7 +9,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from roboneuron.contract import F64, RobotProfile
+from roboneuron.contract import F64, RobotProfile, nearest_turn
 from roboneuron.gate.motion.rules import MotionRules
 
 _SLACK = 1e-6
@@ -49,6 +49,7 @@ class JointLimit:
     Attributes:
         braking: offset and deceleration of a joint that slows down near a position limit; None for
             others.
+        is_continuous: whole turns do not change its posture.
         SLACK: relative tolerance on a limit for rounding.
     """
 
@@ -58,6 +59,7 @@ class JointLimit:
     acceleration: float = math.inf
     effort: float = math.inf
     braking: tuple[float, float] | None = None
+    is_continuous: bool = False
     SLACK: ClassVar = _SLACK
 
     @classmethod
@@ -82,6 +84,7 @@ class JointLimit:
                 acceleration=float(limits.acceleration[i]) * rules.acceleration_fraction,
                 effort=float(limits.effort[i]),
                 braking=braking,
+                is_continuous=name in profile.kinds.continuous,
             )
         for gripper in profile.grippers:
             low, high = sorted((gripper.closed_position, gripper.open_position))
@@ -90,10 +93,18 @@ class JointLimit:
 
     def allows(self, quantity: str, value: float) -> bool:
         """Return True if a "position", "velocity", "acceleration" or "effort" is within its limits;
-        False for NaN.
+        False for NaN and infinity.
         """
         low, high = self.range(quantity)
-        return low - _SLACK * max(1.0, abs(low)) <= value <= high + _SLACK * max(1.0, abs(high))
+        return math.isfinite(value) and low - _SLACK * max(
+            1.0, abs(low)
+        ) <= value <= high + _SLACK * max(1.0, abs(high))
+
+    def nearest(self, start: float, goal: float) -> float:
+        """`goal` as the joint at `start` reaches it soonest within its limits [rad or m]: for a
+        continuous joint with whole turns added.
+        """
+        return nearest_turn(start, goal, self.lower, self.upper) if self.is_continuous else goal
 
     def range(self, quantity: str) -> tuple[float, float]:
         """Lowest and highest value of a quantity; all but positions are symmetric."""

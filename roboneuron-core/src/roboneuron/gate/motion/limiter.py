@@ -14,6 +14,7 @@ from typing import Self, cast
 import numpy as np
 
 from roboneuron.contract import (
+    F64,
     Controller,
     Hold,
     JointCommand,
@@ -21,7 +22,6 @@ from roboneuron.contract import (
     Pose,
     Posture,
     RobotProfile,
-    prismatic_joints,
 )
 from roboneuron.errors import UnsafeError
 from roboneuron.gate.motion.command import (
@@ -90,7 +90,8 @@ class MotionLimiter:
             immediate=immediate,
             longest_s=longest_s,
         )
-        slides = prismatic_joints(profile.urdf)
+        slides = profile.kinds.prismatic
+        self._span, self._bounds = profile.kinds.span(self._names), profile.limits
         self._lost = np.array([LOST_M if name in slides else LOST for name in self._names])
         self._immediate, self._longest_s = immediate, longest_s
         self._sent: Setpoint | None = None
@@ -253,7 +254,7 @@ class MotionLimiter:
             return joints
         with suppress(UnsafeError):
             measured = pick(joints.names, joints.position, self._names)
-            position, _ = sent.at(now_s, self._shortener.joints.braking)
+            sent, position, _ = self._followed(sent, measured, now_s)
             if (np.abs(position - measured) <= self._lost).all():
                 ends = np.array(joints.position)
                 arm = [joints.names.index(name) for name in self._names]
@@ -276,6 +277,18 @@ class MotionLimiter:
         with suppress(UnsafeError):
             measured = pick(joints.names, joints.position, self._names)
             self._sent = Setpoint.at_rest(measured, now_s)
+
+    def _followed(self, sent: Setpoint, measured: F64, now_s: float) -> tuple[Setpoint, F64, F64]:
+        """A setpoint, and its position and velocity at a monotonic time, in the turns that the
+        robot counts: it may measure a continuous joint a whole turn from where it was sent.
+        """
+        position, velocity = sent.at(now_s, self._shortener.joints.braking)
+        near = self._span.nearest(measured, position)
+        if near is position:
+            return sent, position, velocity
+        turns = near - position
+        sent = replace(sent, start=sent.start + turns, goal=sent.goal + turns)
+        return sent, near, velocity
 
     def _commit(self, step: Step, now_s: float) -> None:
         self._sent = Setpoint(
@@ -306,11 +319,15 @@ class MotionLimiter:
         last = self._sent if since_s < _MEMORY_S else None
         is_lost = False
         if last is not None:
-            start, before = last.at(now_s, self._shortener.joints.braking)
+            last, start, before = self._followed(last, measured, now_s)
             is_lost = bool((np.abs(start - measured) > self._lost).any())
         if last is None or is_lost:
             last = Setpoint.at_rest(measured, now_s)
             start, before = measured, last.displacement
+        low, high = (
+            (None, None) if self._bounds is None else (self._bounds.lower, self._bounds.upper)
+        )
+        target = self._span.nearest(start, target, low, high)
         duration_s = max(
             _SHORTEST_S, min(command.duration_s, since_s) if self._immediate else command.duration_s
         )
@@ -333,7 +350,8 @@ class MotionLimiter:
         """Return the command to send: itself, or a copy whose arm joints end at the step's target;
         the gripper keeps its commanded target.
         """
-        if not step.acted and step.duration_s == command.duration_s:
+        is_same = not step.acted and step.duration_s == command.duration_s
+        if is_same and not self._span.is_turning:
             return command
         position = command.position.copy()
         position[[command.names.index(name) for name in self._names]] = step.target

@@ -49,28 +49,31 @@ class Reach:
 
 def levers_m(profile: RobotProfile) -> dict[str, float]:
     """Lever of each joint in the chain from base to TCP of each arm: largest displacement of a
-    point [m per rad; 1 for prismatic joints].
+    point [m per rad; 1 for prismatic joints], with what its followers move.
 
     Two arms approach each other by the sum of both displacements. Empty for a description without
     such a chain.
     """
     above = {_attribute(joint.find("child"), "link"): joint for joint in urdf_joints(profile.urdf)}
-    levers: dict[str, float] = {}
+    kinds, levers = profile.kinds, dict[str, float]()
     for arm in profile.each_arm:
         # from the TCP down to the base, because each joint moves everything beyond it
         link, length, left = arm.tcp_link, _SHAPE_M, dict(above)
         while link in left and link != arm.base_link:
             joint = left.pop(link)
-            is_slide = _attribute(joint, "type") == "prismatic"
-            levers[_attribute(joint, "name")] = 1.0 if is_slide else length
+            name = _attribute(joint, "name")
+            is_slide = name in kinds.prismatic
+            levers[name] = 1.0 if is_slide else length
             origin = _attribute(joint.find("origin"), "xyz", "0 0 0")
             length += math.hypot(*map(float, origin.split()))
             if is_slide:
-                limit = joint.find("limit")
-                length += abs(
-                    float(_attribute(limit, "upper", "1")) - float(_attribute(limit, "lower", "-1"))
-                )
+                length += kinds.farthest(name)
             link = _attribute(joint.find("parent"), "link")
+    own = dict(levers)
+    for follower in kinds.followers if levers else ():
+        if follower.name in own:
+            share = abs(follower.multiplier) * own[follower.name]
+            levers[follower.leader] = levers.get(follower.leader, 0.0) + share
     return levers
 
 
