@@ -20,6 +20,7 @@ from rn_testing.domain import free_ros_domain
 from rn_testing.fakes import fake_plan
 from rn_testing.waiting import wait_until
 from roboneuron.config import Config, parse_config
+from roboneuron.estop.motion_starts import MotionStarts
 from roboneuron.ros.environment import prepare_environment
 from roboneuron.supervisor.supervisor import Supervisor
 
@@ -143,6 +144,14 @@ class Arm:
     def metric(self, kind: Any, key: str) -> str:
         report = self.supervisor.view(kind).report
         return "" if report is None else report.metrics.get(key, "")
+
+    def needs_start(self, kind: Any) -> str:
+        report = self.supervisor.view(kind).report
+        return "" if report is None else report.needs_start
+
+    def permit(self) -> None:
+        """Ask for motion, as a client does after a stop."""
+        MotionStarts(self.supervisor).permit()
 
     def note(self, kind: Any) -> str:
         report = self.supervisor.view(kind).report

@@ -24,6 +24,7 @@ BRAKING_S = 0.5
 def moving(pair: Any, wait: Wait) -> Iterator[None]:
     """Both arms move to and fro by actions of a foreign node."""
     pair.start("robot", "control")
+    pair.permit()
     wait(lambda: pair.actions.get_subscription_count() >= 2, 5.0, "control listens")
     with pair.waving():
         wait(pair.is_moving, 5.0, "both arms move")

@@ -183,6 +183,30 @@ def test_a_frozen_server_ends_a_direct_motion(arm: ServedArm, wait: Wait) -> Non
     assert moved["error"] < 0.01
 
 
+def test_a_frozen_robot_ends_a_direct_motion_by_its_name(arm: ServedArm, wait: Wait) -> None:
+    wait(arm.is_still, 10.0, "the arm stands at first")
+    call = arm.move_away()
+    arm.wait_moving()
+    robot = int(arm.robot()["pid"])
+    os.kill(robot, signal.SIGSTOP)
+    try:
+        call.join(5.0)
+        assert not call.is_alive(), "the call ends while its robot is frozen"
+        assert "robot is frozen" in arm.told
+        again = arm.answer("move_joints", positions={"fr3_joint7": 0.0})
+        assert again.is_error
+        assert again.meta["roboneuron/error"]["code"] == "not_ready"
+    finally:
+        os.kill(robot, signal.SIGCONT)
+    wait(lambda: bool(arm.robot()["needs_start"]), 5.0, "the status says why it keeps still")
+    wait(arm.is_still, 3.0, "the arm brakes")
+    place = arm.position.copy()
+    time.sleep(1.0)  # to show that nothing happens
+    assert np.abs(arm.position - place).max() < 0.01
+    moved = arm.do("move_joints", positions={"fr3_joint7": float(place[6]) * 0.9})
+    assert moved["error"] < 0.01
+
+
 def test_a_removed_state_directory_does_not_release_the_stop(arm: ServedArm, wait: Wait) -> None:
     call = arm.move_away()
     arm.wait_moving()

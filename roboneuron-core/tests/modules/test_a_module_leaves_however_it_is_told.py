@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
@@ -14,7 +15,8 @@ pytestmark = pytest.mark.timeout(60)
 LISTENS = """
 import time
 from roboneuron.modules.parent_watch import Signals
-signals, presses = Signals(), 0
+signals, presses, resumes = Signals(), 0, []
+signals.on_resumed = lambda: resumes.append(1)
 signals.listen()
 print("listens", flush=True)
 is_leaving = False
@@ -22,7 +24,7 @@ while not is_leaving:
     is_leaving = signals.is_leaving
     presses += signals.take_stop()
     time.sleep(0.001)
-print(presses)
+print(presses, len(resumes))
 """
 HANGS = """
 import threading
@@ -69,8 +71,18 @@ def test_every_burst_of_presses_is_noticed_and_hinders_no_end() -> None:
             process.send_signal(signal.SIGUSR1)
         process.send_signal(signal.SIGTERM)
         output, _ = process.communicate(timeout=10.0)
-    assert int(output) >= 1
+    assert int(output.split()[0]) >= 1
     assert process.returncode == 0
+
+
+def test_a_process_that_goes_on_after_it_was_frozen_knows_it() -> None:
+    with python(LISTENS) as process:
+        os.kill(process.pid, signal.SIGSTOP)
+        os.waitpid(process.pid, os.WUNTRACED)
+        process.send_signal(signal.SIGCONT)
+        process.send_signal(signal.SIGTERM)
+        output, _ = process.communicate(timeout=10.0)
+    assert output.split() == ["0", "1"]
 
 
 def test_what_hangs_on_its_way_out_is_ended_by_the_kernel() -> None:

@@ -201,6 +201,19 @@ def test_server_that_is_frozen_stops_the_arm_until_it_asks_for_motion_again(worl
     policy.cancel()
 
 
+@pytest.mark.parametrize("kind", ["robot", "inference", "control"])
+def test_a_module_whose_process_was_frozen_needs_a_new_start(
+    world: Any, status_of: Any, kind: str
+) -> None:
+    node = world.start(kind)
+    for stops in (1, 2):
+        node.note_resumed()
+        assert node.is_server_silent(), "at once, though the executor has not run since"
+        assert holds_within(lambda stops=stops: node.stops == stops)
+        assert not node.is_server_silent()
+        assert status_of(node)["needs_start"] == f"the {kind} process was frozen"
+
+
 def test_a_control_that_was_frozen_needs_a_new_start_though_the_server_is_heard_first(
     world,
 ) -> None:

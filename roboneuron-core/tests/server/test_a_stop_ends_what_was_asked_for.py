@@ -4,18 +4,26 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
 
 from roboneuron.errors import NotReadyError, RefusedError, StateError
+from roboneuron.estop import motion_starts
 from roboneuron.estop.motion_starts import MotionStarts
 from roboneuron.modules.report import Report
-from roboneuron.modules.settings import INSTRUCTION_PARAMETER, MODULE_KINDS, START_PARAMETER
+from roboneuron.modules.settings import (
+    ARM_KINDS,
+    INSTRUCTION_PARAMETER,
+    MODULE_KINDS,
+    START_PARAMETER,
+)
 from roboneuron.supervisor.health import ModuleView
 
-RECEIVED_S = 1.0
+SILENCE_S = 2.0
+"""The shorter `server_timeout_s` of robot and control."""
 
 
 class Process:
@@ -30,17 +38,22 @@ class Process:
             needs_start,
             int(bool(needs_start)),
         )
-        self.hangs = self.ended = False
+        self.hangs = self.ended = self.frozen = False
+        self.exit_code: int | None = None
+        self.received_s = 0.0
         self.told: list[dict[str, Any]] = []
 
     @property
     def report(self) -> Report:
         return Report(
-            received_s=RECEIVED_S,
+            received_s=self.received_s,
             instruction=self.instruction,
             needs_start=self.needs_start,
             stops=self.stops,
         )
+
+    def is_frozen(self) -> bool:
+        return self.frozen
 
     def stop(self, reason: str) -> None:
         self.needs_start, self.stops = reason, self.stops + 1
@@ -69,20 +82,32 @@ class Slot:
         return self.process.report
 
     def check_alive(self, doing: str) -> None:
-        pass
+        if self.process.frozen:
+            raise NotReadyError(f"{self.kind} is frozen while {doing}.")
 
 
 class Machine:
     """A supervisor with one process of each kind."""
 
     def __init__(self) -> None:
-        self.needs_start = ""
+        self.needs_start, self.now_s = "", 0.0
+        self.settings = cast(Any, SimpleNamespace(config=SimpleNamespace(silence_s=SILENCE_S)))
         self.changes = SimpleNamespace(
             lock=threading.RLock(), wait_for=lambda look, timeout_s: look()
         )
         self.slots: dict[str, list[Any]] = {
             kind: [Slot(Process(kind, 10 + number))] for number, kind in enumerate(MODULE_KINDS)
         }
+
+    def pass_time(self, starts: MotionStarts, seconds: float, *silent: str) -> None:
+        """Look as often as a busy server does, while the other modules report."""
+        for _ in range(round(seconds / 0.1)):
+            self.now_s += 0.1
+            for kind in MODULE_KINDS:
+                if kind not in silent:
+                    self[kind].received_s = self.now_s
+            starts.look(False)
+            starts.settle()
 
     def __getitem__(self, kind: str) -> Process:
         return cast(Process, self.slots[kind][0].process)
@@ -93,7 +118,13 @@ class Machine:
             slot = self.slots[kind][0]
             report = slot.process.report if slot.phase == "running" else None
             found.append(
-                ModuleView(kind=kind, phase=slot.phase, process=slot.process, report=report)
+                ModuleView(
+                    kind=kind,
+                    phase=slot.phase,
+                    process=slot.process,
+                    settings=self.settings,
+                    report=report,
+                )
             )
         return found
 
@@ -113,25 +144,95 @@ def machine() -> Machine:
 
 
 @pytest.fixture
-def starts(machine: Machine) -> MotionStarts:
+def starts(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> MotionStarts:
+    monkeypatch.setattr(motion_starts.time, "monotonic", lambda: machine.now_s)
     made = MotionStarts(cast(Any, machine))
     made.look(False)
     return made
 
 
-@pytest.mark.parametrize("kind", ["robot", "perception", "control"])
-def test_a_module_that_ends_takes_the_policy_s_instruction(
-    machine: Machine, starts: MotionStarts, kind: str
+def kill(machine: Machine, kind: str) -> None:
+    machine.slots[kind][0].phase, machine[kind].exit_code = "exited", -9
+
+
+def freeze(machine: Machine, kind: str) -> None:
+    machine[kind].frozen = machine[kind].hangs = True
+
+
+def silence(machine: Machine, kind: str) -> None:
+    machine[kind].hangs = True
+
+
+Lose = Callable[[Machine, str], None]
+LOSSES: dict[str, tuple[Lose, str]] = {
+    "killed": (kill, "has ended by itself (signal 9)"),
+    "frozen": (freeze, "is frozen (SIGSTOP or a debugger)"),
+    "silent": (silence, "has not reported for 2 s"),
+}
+lost = pytest.mark.parametrize(("lose", "loss"), LOSSES.values(), ids=LOSSES)
+
+
+@lost
+@pytest.mark.parametrize("kind", MODULE_KINDS)
+def test_a_lost_module_ends_what_was_asked_for_by_its_name(
+    machine: Machine, starts: MotionStarts, kind: str, lose: Lose, loss: str
+) -> None:
+    machine.pass_time(starts, 1.0)
+    starts.give("pick it up", 1.0)
+    lose(machine, kind)
+    machine.pass_time(starts, SILENCE_S + 0.5, kind)
+    assert starts.reason == f"{kind} {loss}"
+    assert (starts.stops, starts.arm_stops) == (1, int(kind in ARM_KINDS)), "once"
+    assert starts.instruction == ""
+    assert kind == "inference" or machine["inference"].instruction == ""
+
+
+@lost
+@pytest.mark.parametrize("kind", MODULE_KINDS)
+def test_a_lost_module_that_goes_on_moves_nothing_and_may_be_lost_again(
+    machine: Machine, starts: MotionStarts, kind: str, lose: Lose, loss: str
 ) -> None:
     starts.give("pick it up", 1.0)
-    machine.slots[kind][0].phase = "exited"
+    for times in (1, 2):
+        lose(machine, kind)
+        machine.pass_time(starts, SILENCE_S + 0.5, kind)
+        machine.slots[kind][0] = Slot(machine[kind])
+        machine[kind].frozen = machine[kind].hangs = False
+        machine.pass_time(starts, 0.5)
+        assert (machine["inference"].instruction, starts.instruction) == ("", "")
+        assert starts.stops == times, "once each time"
+
+
+def test_no_module_is_lost_because_the_server_was_held_up(
+    machine: Machine, starts: MotionStarts
+) -> None:
+    machine.pass_time(starts, 1.0)
+    machine.now_s += SILENCE_S + 1.0
     starts.look(False)
-    starts.settle()
-    assert (machine["inference"].instruction, starts.instruction) == ("", "")
-    assert starts.reason == f"{kind} has ended by itself"
-    before = starts.stops
+    machine.pass_time(starts, 1.0)
+    assert starts.stops == 0
+
+
+@pytest.mark.parametrize("late_s", [0.6, SILENCE_S - 0.1])
+def test_a_late_report_is_no_loss(machine: Machine, starts: MotionStarts, late_s: float) -> None:
+    """A busy machine delays reports, which come every 0.2 s."""
+    machine.pass_time(starts, late_s, *MODULE_KINDS)
+    assert starts.stops == 0
+
+
+@pytest.mark.parametrize("kind", ["robot", "control"])
+def test_motion_is_not_permitted_while_the_arm_s_module_is_frozen(
+    machine: Machine, starts: MotionStarts, kind: str
+) -> None:
+    assert not starts.are_needed()
+    freeze(machine, kind)
     starts.look(False)
-    assert starts.stops == before, "once"
+    assert starts.are_needed(), "no message takes the quick way"
+    with pytest.raises(NotReadyError, match=f"{kind} is frozen"):
+        starts.permit()
+    machine[kind].frozen = machine[kind].hangs = False
+    starts.permit()
+    assert not starts.are_needed()
 
 
 def test_whoever_settles_meets_no_thread_that_has_not_begun(
@@ -163,7 +264,7 @@ def test_robot_and_control_that_come_back_keep_still(
 ) -> None:
     machine.slots["control"][0].phase = "exited"
     starts.look(False)
-    assert machine.needs_start == "control has ended by itself"
+    assert machine.needs_start == starts.reason
     machine.slots["control"] = [Slot(Process("control", 99, needs_start=machine.needs_start))]
     starts.arm_started()
     assert machine["control"].needs_start, "a start of a module is no start of motion"

@@ -13,7 +13,7 @@ import pytest
 from rn_standard.direct_path.arbiter import Ending, MotionEnd
 from rn_standard.direct_path.gate import Gate
 from roboneuron.contract import Endpoint, JointSample
-from roboneuron.errors import RefusedError, StateError
+from roboneuron.errors import NotReadyError, RefusedError, StateError
 from roboneuron.feature import ExposedEndpoint, GateRequest, TimedCommand
 
 Ask = Callable[..., GateRequest]
@@ -125,6 +125,23 @@ def test_a_motion_that_is_cancelled_ends_with_its_stop_message_and_says_so(
         bench.play(drive, request, commands=commands(), halt=halt, details=lambda: "it is near")
     assert [message.linear.x for message in bench.sent] == [0.25, 0.0]
     bench.motion_gate.check_free(drive)
+
+
+def test_a_motion_whose_arm_is_not_measured_any_more_tells_the_stop_behind_it(
+    bench: Any, drive: ExposedEndpoint, ask: Ask
+) -> None:
+    request = ask(drive.endpoint, FORWARD)
+
+    def commands(reason: str) -> Any:
+        yield TimedCommand(message=request.messages[0], due_s=0.0)
+        if reason:
+            bench.starts.arm_stops, bench.starts.reason = 1, reason
+        raise NotReadyError("Control publishes no pose.")
+
+    with pytest.raises(NotReadyError, match="no pose"):
+        bench.play(drive, request, commands=commands(""))
+    with pytest.raises(StateError, match="robot has ended by itself"):
+        bench.play(drive, request, commands=commands("robot has ended by itself"))
 
 
 def test_a_motion_that_comes_to_its_end_with_a_stop_message_says_so(

@@ -11,6 +11,7 @@ import pytest
 from rn_standard.stepped.clock import FREE, ROWS_METRIC, TURN_METRIC, TURN_PARAMETER, WorldClock
 from rn_standard.tasks import stepped
 from rn_standard.tasks.stepped import SteppedCell
+from roboneuron.supervisor.health import ModuleView
 
 MOVING, WAITING, RESTING = 0, 1, 3
 LONG = 3
@@ -47,7 +48,7 @@ class SteppedHost:
         self._go_on()
         report = SimpleNamespace(metrics=self.metrics, instruction_count=0, error_count=0)
         phase = "running" if self.exists else "stopped"
-        return SimpleNamespace(kind=kind, phase=phase, report=report, process=None)
+        return ModuleView(kind=kind, phase=phase, report=report)  # type: ignore[arg-type]
 
     def set_parameters(self, kind: str, values: dict[str, int], timeout_s: float) -> str:
         assert kind == "inference"

@@ -320,6 +320,16 @@ class Config(Section):
         """ROS namespace of the robot, without a leading slash."""
         return self.robot.namespace or self.robot.name.replace("-", "_")
 
+    @property
+    def silence_s(self) -> float:
+        """Silence of the server after which modules stop, and of a module after which it counts as
+        lost [s]: the shorter `server_timeout_s` of robot and control.
+        """
+        timeouts_s = [self.robot.server_timeout_s]
+        if self.control is not None:
+            timeouts_s.append(self.control.server_timeout_s)
+        return min(timeouts_s)
+
     def options(self, name: str) -> Mapping[str, object]:
         """Options of the backend, source, controller, driver ... called `name`; empty if the user
         set none.

@@ -1,15 +1,16 @@
 """Starts of motion: after a stop was released, motion begins again only when it is requested.
 
 A module keeps still by itself after a stop (`ModuleNode.require_start`). The server does the same
-for stops that a module cannot know: other modules that died, were stopped or restarted. It also
-records which caller gave the policy its instruction, so that the end of a task withdraws it from
-every process.
+for stops that a module cannot know: other modules that died, froze, were stopped or restarted. It
+also records which caller gave the policy its instruction, so that the end of a task withdraws it
+from every process.
 """
 
 from __future__ import annotations
 
 import logging
 import threading
+import time
 from collections.abc import Sequence
 from contextlib import suppress
 from typing import Final
@@ -33,6 +34,10 @@ _PERMITTED_S = 5.0
 """Timeout of a module's answer to a permission, and of its report of it."""
 _SETTLED_S = 5.0
 """Timeout for withdrawals in progress; each ends within `_TOLD_S` or with its process."""
+_LATE_S = 0.3
+"""Time between two looks after which the server itself was held up: the silence of its modules
+counts from then on. They are looked at every 0.03 s.
+"""
 
 
 class MotionStarts:
@@ -61,9 +66,11 @@ class MotionStarts:
         self._supervisor = supervisor
         # Guards the counts; no module is called while it is held.
         self._lock = threading.Lock()
-        # by process id: stops that it has reported, and whether its end was counted
+        # by process id: stops that it has reported
         self._seen: dict[int, int] = {}
-        self._gone: set[int] = set()
+        # process ids of the modules whose loss was counted
+        self._lost: dict[ModuleKind, int] = {}
+        self._looked_s = self._late_s = 0.0
         self._was_latched = False
         self._telling: list[threading.Thread] = []
         self.stops = self.arm_stops = self.ticket = 0
@@ -77,16 +84,24 @@ class MotionStarts:
             is_latched: state of the emergency stop; None if it was not checked now.
         """
         views = self._supervisor.views()
+        now_s = time.monotonic()
         with self._lock:
-            reasons = [(reason, view.kind) for view in views if (reason := self._news(view))]
+            if now_s - self._looked_s > _LATE_S:
+                self._late_s = now_s
+            self._looked_s = now_s
+            is_back = "inference" in {view.kind for view in views if self._is_back(view, now_s)}
+            reasons = [(reason, view.kind) for view in views if (reason := self._news(view, now_s))]
             is_pressed = is_latched is True and not self._was_latched
             self._was_latched = self._was_latched if is_latched is None else is_latched
         if is_pressed:
             self.note_stop(EMERGENCY_STOP)
         for reason, kind in reasons:
             self.note_stop(reason, holds_arm=kind in ARM_KINDS)
-        if any(kind != "inference" and reason != EMERGENCY_STOP for reason, kind in reasons):
-            self._take_back_soon()  # the policy detects the other ones itself
+        # a policy that was lost could not be told; it detects the other ones itself
+        if is_back or any(
+            kind != "inference" and reason != EMERGENCY_STOP for reason, kind in reasons
+        ):
+            self._take_back_soon()
         return views
 
     def note_stop(self, reason: str, *, holds_arm: bool = True, is_asked: bool = False) -> None:
@@ -113,7 +128,9 @@ class MotionStarts:
         self._take_back()
 
     def are_needed(self) -> bool:
-        """True if a stop keeps a module still until `permit`."""
+        """True if a stop keeps a module still until `permit`, or one is lost."""
+        if not self._lost.keys().isdisjoint(ARM_KINDS):
+            return True
         with self._supervisor.changes.lock:
             slots = [slot for kind in ARM_KINDS for slot in self._supervisor.slots[kind]]
             reports = [slot.report for slot in slots if slot.phase == "running"]
@@ -128,7 +145,7 @@ class MotionStarts:
 
         Raises:
             RefusedError: a module reports another stop since.
-            NotReadyError: a module does not answer.
+            NotReadyError: a module does not answer, or is frozen.
             StateError: as `check`, or there was a stop since the request.
         """
         self.look()
@@ -159,6 +176,7 @@ class MotionStarts:
         """Permit motion in robot and control, and in their successors. Raises as `permit`."""
         for kind in ARM_KINDS:
             for slot in self._running(kind):
+                slot.check_alive("motion is asked for")
                 report = slot.report
                 if report is None or not report.needs_start or slot.process is None:
                     continue
@@ -260,15 +278,23 @@ class MotionStarts:
         for thread in telling:
             thread.join(_SETTLED_S)
 
-    def _news(self, view: ModuleView) -> str:
-        """Stop reported by a module that is not counted yet; the lock is held."""
+    def _is_back(self, view: ModuleView, now_s: float) -> bool:
+        """True if a lost process works again; the lock is held."""
+        if view.process is None or view.loss(now_s, self._late_s):
+            return False
+        return self._lost.pop(view.kind, None) == view.process.pid
+
+    def _news(self, view: ModuleView, now_s: float) -> str:
+        """Stop by a module that is not counted yet, which it reports or which is its loss; the lock
+        is held.
+        """
         if view.process is None:
             return ""
         pid, report = view.process.pid, view.report
-        if view.phase == "exited":
-            is_new = pid not in self._gone
-            self._gone.add(pid)
-            return f"{view.kind} has ended by itself" if is_new else ""
+        if loss := view.loss(now_s, self._late_s):
+            is_new = self._lost.get(view.kind) != pid
+            self._lost[view.kind] = pid
+            return f"{view.kind} {loss}" if is_new else ""
         if report is None:
             return ""
         before = self._seen.setdefault(pid, report.stops)

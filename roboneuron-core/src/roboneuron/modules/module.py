@@ -65,12 +65,10 @@ class ModuleNode(ModuleHost):
         self._latch = EmergencyStopLatch.in_directory(Path(settings.state_directory))
         self._stop_requested = self._was_server_silent = False
         self._beat_s: float | None = None
-        robot, control = settings.config.robot, settings.config.control
-        # the shorter of both for every kind of module: all need a new start after the same silence
-        self._silence_s = min(
-            section.server_timeout_s for section in (robot, control) if section is not None
-        )
+        # the same for every kind of module: all need a new start after the same silence
+        self._silence_s = settings.config.silence_s
         self._silences = self._silences_seen = 0
+        self._resumes = self._resumes_seen = 0
         self.create_timer(_LOOP_PERIOD_S, self._on_loop)
         self.add_parameter(START_PARAMETER, 0, self._permit, self._why_not_permit)
         if settings.needs_start:
@@ -157,9 +155,15 @@ class ModuleNode(ModuleHost):
         # The only caller of `feed`: signs of life and announcements keep the order of the pipe.
         self._requests.announcements.feed(data)
 
+    def note_resumed(self) -> None:
+        """Record that this process was stopped and goes on (SIGCONT): a stop could not have reached
+        it. Called by a signal handler, so it takes no lock.
+        """
+        self._resumes += 1
+
     def is_server_silent(self) -> bool:
         """See `ModuleHost.is_server_silent`."""
-        if self._silences != self._silences_seen:
+        if self._silences != self._silences_seen or self._resumes != self._resumes_seen:
             return True
         beat_s = self._beat_s
         return beat_s is not None and time.monotonic() - beat_s > self._silence_s
@@ -199,7 +203,7 @@ class ModuleNode(ModuleHost):
             for extend in self.on_configured:
                 extend(self.module)
             # loading may block every thread, and nothing moved meanwhile
-            self._silences_seen = self._silences
+            self._silences_seen, self._resumes_seen = self._silences, self._resumes
         except Exception:
             try:
                 self._release()
@@ -259,18 +263,19 @@ class ModuleNode(ModuleHost):
         self._check_server()
 
     def _check_server(self) -> None:
-        """Stop the module after a silence of the server, during which no stop could have reached
-        it; earlier requests are discarded.
+        """Stop the module after a silence of the server, or after this process was stopped: no stop
+        could have reached it then; earlier requests are discarded.
         """
-        silences = self._silences
+        silences, resumes = self._silences, self._resumes
         was_silent = self._was_server_silent
         # before the module is stopped, whose robot may refuse to hold: a silence is one stop
         self._was_server_silent = self.is_server_silent()
-        if self._was_server_silent and not was_silent:
+        if resumes != self._resumes_seen:
+            self.require_start(f"the {self.settings.kind} process was frozen", "server_silent")
+        elif self._was_server_silent and not was_silent:
             self.require_start(SERVER_SILENT, "server_silent")
-        # `silences` was read before the silence was measured: one that ends in between is not
-        # missed.
-        self._silences_seen = silences
+        # both were read before the silence was measured: one that ends in between is not missed
+        self._silences_seen, self._resumes_seen = silences, resumes
 
     def _on_emergency_stop(self, message: Bool) -> None:
         """Handle the emergency-stop topic. Any node may stop; only a reset of the latch releases.
@@ -338,6 +343,7 @@ def run(line: str) -> None:
         signals = Signals()
         signals.listen()
         node = ModuleNode(settings)
+        signals.on_resumed = node.note_resumed
         node.watch_parent(signals.leave)
         try:
             _spin(node, signals)

@@ -111,8 +111,8 @@ class ModuleHost(LifecycleNode):  # type: ignore[misc]
 
     @abstractmethod
     def is_server_silent(self) -> bool:
-        """True if no sign of life of the server came for the shorter of the times that robot and
-        control allow; always False for a module that was started without a server.
+        """True if no sign of life of the server came for `Config.silence_s`, or this process has
+        just been resumed (SIGCONT); without a server, only the latter.
 
         A silence that has just ended lasts until the executor has handled it: after this process
         was frozen, the thread that reads the signs of life may resume first.

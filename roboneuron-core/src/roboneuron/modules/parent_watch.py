@@ -39,19 +39,22 @@ class Signals:
 
     Attributes:
         is_leaving: the module has to exit.
+        on_resumed: called in the handler of SIGCONT; must take no lock.
     """
 
     def __init__(self) -> None:
         self.is_leaving = False
+        self.on_resumed: Callable[[], None] = lambda: None
         self._stop_requested = False
 
     def listen(self) -> None:
         """Install the handlers: SIGTERM, SIGINT and SIGHUP end the module, SIGUSR1 triggers the
-        emergency stop.
+        emergency stop, SIGCONT tells that the process was stopped.
         """
         for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
             signal.signal(number, lambda *_: self.leave())
         signal.signal(signal.SIGUSR1, lambda *_: self._request_stop())
+        signal.signal(signal.SIGCONT, lambda *_: self.on_resumed())
 
     def leave(self) -> None:
         """Request the exit as SIGTERM does; from any thread."""

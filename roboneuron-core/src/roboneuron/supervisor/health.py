@@ -19,7 +19,7 @@ from roboneuron.modules.settings import MODULE_KINDS, ModuleKind
 from roboneuron.planning import Plan
 from roboneuron.supervisor.changes import Changes, Periodic
 from roboneuron.supervisor.process import ModuleProcess, ProcessEvents
-from roboneuron.supervisor.slot import Phase, Slot
+from roboneuron.supervisor.slot import Phase, Slot, describe_exit
 
 if TYPE_CHECKING:
     from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -112,6 +112,31 @@ class ModuleView:
         if report.error_code:
             return "failing"
         return "ok" if report.ready else "waiting"
+
+    def loss(self, now_s: float, since_s: float = 0.0) -> str:
+        """Return why motion cannot rely on the module any more, as the predicate of a sentence
+        about it; empty if it can, or if it is not to run.
+
+        It has ended by itself, the kernel has stopped its process (SIGSTOP, a debugger), or it has
+        not reported for `Config.silence_s`, the time after which modules give up their server. The
+        kernel's word does not depend on the load of the machine, and a report comes every 0.2 s.
+
+        Args:
+            now_s: monotonic time [s].
+            since_s: silence counts from then on: before, the caller itself was held up.
+        """
+        process, report = self.process, self.report
+        if process is None or self.phase not in ("running", "exited"):
+            return ""
+        if self.phase == "exited":
+            return f"has ended by itself ({describe_exit(process.exit_code or 0)})"
+        if process.is_frozen():
+            return "is frozen (SIGSTOP or a debugger)"
+        if report is None or self.settings is None:
+            return ""
+        silent_s = now_s - max(report.received_s, since_s)
+        limit_s = self.settings.config.silence_s
+        return f"has not reported for {limit_s:g} s" if silent_s > limit_s else ""
 
 
 class Stopped(BaseModel):

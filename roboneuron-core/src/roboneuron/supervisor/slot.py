@@ -183,7 +183,7 @@ class Slot:
         if process is not None and process.exit_code is not None:
             raise NotReadyError(
                 f"The {self.kind} process (pid {process.pid}) ended with "
-                f"{_ending(process.exit_code)} while {doing}.",
+                f"{describe_exit(process.exit_code)} while {doing}.",
                 hint=f"Its last lines: {_quote(process.last_lines())} Whole log: "
                 f"{process.log_path}",
             )
@@ -220,12 +220,12 @@ class Slot:
             return ""
         return (
             f"its process (pid {process.pid}) ended by itself with "
-            f"{_ending(process.exit_code or 0)} at {process.ended_at.astimezone():%H:%M:%S}. "
+            f"{describe_exit(process.exit_code or 0)} at {process.ended_at.astimezone():%H:%M:%S}. "
             f"Last lines: {_quote(process.last_lines())}"
         )
 
 
-def _ending(code: int) -> str:
+def describe_exit(code: int) -> str:
     """Describe an exit code; negative codes are signals, as in subprocess."""
     return f"exit code {code}" if code >= 0 else f"signal {-code}"
 

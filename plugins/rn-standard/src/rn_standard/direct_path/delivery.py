@@ -76,8 +76,10 @@ def run(
                 last, sent = command.message, sent + 1
             motion.sleep_until(command.due_s)
         failed = False
-    except (RefusedError, StateError, NotReadyError) as error:
+    except (RefusedError, StateError) as error:
         cause = error
+    except NotReadyError as error:
+        cause = _stop_behind(motion) or error
     finally:
         after_s = time.monotonic() - began_s
         if last is not None:
@@ -92,6 +94,15 @@ def run(
         cause=cause,
         sent=sent + int(ending in (Ending.STOP_MESSAGE, Ending.HOLD)),
     )
+
+
+def _stop_behind(motion: ActiveMotion) -> RoboNeuronError | None:
+    """The stop because of which something is not measured any more; None without one."""
+    try:
+        motion.check()
+    except (RefusedError, StateError) as stop:
+        return stop
+    return None
 
 
 def _end(

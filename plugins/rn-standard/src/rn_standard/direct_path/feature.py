@@ -70,15 +70,14 @@ class DirectPath(Feature[DirectPathOptions]):
             dry_run=self.options.dry_run,
             transforms=self._transforms(host),
         )
-        robot, control = host.config.robot, host.config.control
+        control = host.config.control
         self.arbiter = MotionArbiter(
             self.judge,
             self._policy,
             host.loop,
             self._is_followed,
             _REPORTED_S + (0.0 if control is None else control.action_timeout_s),
-            # as modules do
-            min(section.server_timeout_s for section in (robot, control) if section is not None),
+            host.config.silence_s,  # as modules do
         )
         self.allow_list = AllowList(
             self.judge,

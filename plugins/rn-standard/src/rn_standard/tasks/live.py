@@ -181,16 +181,12 @@ class LiveCell:
         """
         if self._stops is None:
             return ""
-        for kind in self._needed:
-            view = self._host.modules.view(kind)
-            if view.phase == "exited" and view.process is not None:
-                code = view.process.exit_code or 0
-                return (
-                    f"{kind} has ended by itself "
-                    f"({f'signal {-code}' if code < 0 else f'exit code {code}'})"
-                )
+        now_s = self.now_s()
+        for view in map(self._host.modules.view, self._needed):
+            if loss := view.loss(now_s):
+                return f"{view.kind} {loss}"
             if view.phase != "running":
-                return f"{kind} was stopped (it is {view.phase})"
+                return f"{view.kind} was stopped (it is {view.phase})"
         if self._starts.stops != self._stops:
             return f"there was a stop: {self._starts.reason}"
         if self._instruction and self._starts.ticket != self._ticket:

@@ -38,7 +38,7 @@ class MeasuredPose:
 
     def wait(self, timeout_s: float, newer_than_ns: int = 0) -> Pose:
         """Return the pose, not older than 0.5 s and measured after `newer_than_ns` [ROS time, ns];
-        waits for one.
+        waits for one, but not beyond a stop of the arm.
 
         Raises:
             NotReadyError: control publishes none.
@@ -46,13 +46,15 @@ class MeasuredPose:
         """
         self.open()
         deadline_s = time.monotonic() + timeout_s
+        starts = self._host.loop.starts
+        stops = starts.arm_stops
         while True:
             newest = self._newest
             if newest is not None and time.monotonic() - newest[0] <= _AGE_S:
                 pose = _pose(newest[1])
                 if pose.stamp_ns > newer_than_ns:
                     return pose
-            if time.monotonic() > deadline_s:
+            if time.monotonic() > deadline_s or starts.arm_stops != stops:
                 raise NotReadyError(
                     "Control publishes no pose of the end effector.", hint="See get_status."
                 )

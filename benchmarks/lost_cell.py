@@ -1,0 +1,187 @@
+"""Served arms for `lost_modules`: one FR3, two at one table, or two robots behind one server."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from anyio.from_thread import BlockingPortal, start_blocking_portal
+from mcp import Client, StdioServerParameters
+from plugin_site import installed
+
+from roboneuron.ros.environment import prepare_environment
+
+STILL_RAD_S = 0.02
+COMMON = """
+[supervisor]
+state_directory = "{folder}/state"
+start_timeout_s = 120.0
+[ops.restart]
+perception = "never"
+[places.there]
+position_m = [{x}, 0.3, 0.45]
+{arm}
+[places.back]
+position_m = [{x}, -0.3, 0.45]
+{arm}
+[postures.turned]
+joints = {{ {joint} = 2.0 }}
+[postures.returned]
+joints = {{ {joint} = -2.0 }}
+"""
+FR3 = """
+[robot]
+name = "fr3"
+[perception]
+source = "fr3-sim-camera"
+[inference]
+backend = "servo"
+[control]
+controller = "urdf"
+"""
+PAIR = """
+[robot]
+name = "fr3-pair"
+[perception]
+source = "fr3-pair-sim-camera"
+cameras = ["front", "left_wrist"]
+[inference]
+backend = "servo-pair"
+[control]
+controller = "urdf"
+"""
+FLEET = """
+[supervisor]
+state_directory = "{folder}/state"
+start_timeout_s = 120.0
+[ops.restart]
+perception = "never"
+""" + "".join(
+    f"""
+[robots.{name}]
+robot = "fr3"
+[robots.{name}.perception]
+source = "fr3-sim-camera"
+cameras = ["front"]
+[robots.{name}.inference]
+backend = "servo"
+[robots.{name}.control]
+controller = "urdf"
+"""
+    for name in ("left", "right")
+)
+KINDS = ("robot", "perception", "control", "inference")
+PLACES = {"fr3": (0.35, "", "fr3_joint7"), "pair": (0.35, 'arm = "left"', "left_fr3_joint7")}
+
+
+class Witness:
+    """Joints of the simulation, by their topic."""
+
+    def __init__(self, link: Any, namespace: str) -> None:
+        from sensor_msgs.msg import JointState  # heavy
+
+        from roboneuron.ros.qos import NEWEST  # heavy
+
+        self.states: list[tuple[float, np.ndarray, np.ndarray]] = []
+        link.subscribe(JointState, f"/{namespace}/joint_states", self._on_state, NEWEST)
+
+    def _on_state(self, message: Any) -> None:
+        now_s = time.monotonic()
+        self.states.append((now_s, np.array(message.position), np.array(message.velocity)))
+        del self.states[:-6000]
+
+    def moves(self) -> bool:
+        """True if the newest state is of the last 0.3 s and moves."""
+        if not self.states or time.monotonic() - self.states[-1][0] > 0.3:
+            return False
+        return bool(np.abs(self.states[-1][2]).max() > 3 * STILL_RAD_S)
+
+    def moved_rad(self, since_s: float) -> float:
+        """Largest distance of a joint from its first position since then [rad]."""
+        positions = [position for at_s, position, _ in self.states if at_s >= since_s]
+        if not positions:
+            return 0.0
+        return float(np.abs(np.array(positions) - positions[0]).max())
+
+
+class Cell:
+    """A served robot; calls block.
+
+    Args:
+        robot: its name in a fleet; empty for the only one.
+    """
+
+    def __init__(
+        self, client: Client, portal: BlockingPortal, link: Any, namespace: str, robot: str = ""
+    ) -> None:
+        self._client, self._portal = client, portal
+        self._robot = {"robot": robot} if robot else {}
+        self.witness = Witness(link, namespace)
+
+    def ask(self, tool: str, **arguments: Any) -> Any:
+        """Call a tool; errors are answers too."""
+        return self._portal.call(self._client.call_tool, tool, {**self._robot, **arguments})
+
+    def do(self, tool: str, **arguments: Any) -> dict[str, Any]:
+        """Call a tool; RuntimeError if it fails."""
+        answer = self.ask(tool, **arguments)
+        if answer.is_error:
+            raise RuntimeError(f"{tool}: {answer.content[0].text}")
+        return dict(answer.structured_content or {})
+
+    def modules(self) -> dict[str, dict[str, Any]]:
+        """get_status by module."""
+        return {module["module"]: module for module in self.do("get_status")["modules"]}
+
+    def run(self, *kinds: str) -> None:
+        """Run these modules; inference without an instruction, or not at all."""
+        modules = self.modules()
+        for kind in KINDS:
+            running = modules[kind]["phase"] == "running"
+            if kind == "inference" and running and kind not in kinds:
+                self.do("stop_inference")
+            elif kind in kinds and not running:
+                self.do(f"start_{kind}")
+
+
+@contextlib.contextmanager
+def served(folder: Path, cell: str) -> Iterator[tuple[Cell, Cell | None]]:
+    """A server; everything ends with it."""
+    folder.mkdir(parents=True, exist_ok=True)
+    text = FLEET.format(folder=folder)
+    if cell != "fleet":
+        x, arm, joint = PLACES[cell]
+        common = COMMON.format(folder=folder, x=x, arm=arm, joint=joint)
+        text = (FR3 if cell == "fr3" else PAIR) + common
+    config = folder / "roboneuron.toml"
+    config.write_text(text)
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(installed(folder, "lost-modules", ("lost_plugin",)))
+        prepare_environment(folder / "log")
+        from mcp.client.stdio import stdio_client  # heavy
+
+        from roboneuron.ros.link import RosLink  # heavy
+
+        link = RosLink("witness")
+        stack.callback(link.close)
+        link.open()
+        command = ["-m", "roboneuron.cli.main", "serve", "--config", str(config)]
+        command += ["--log-level", "warning"]
+        server = StdioServerParameters(command=sys.executable, args=command, env=dict(os.environ))
+        log = stack.enter_context((folder / "server.log").open("a"))
+        portal = stack.enter_context(start_blocking_portal())
+        made = Client(stdio_client(server, errlog=log), read_timeout_seconds=180)
+        client = stack.enter_context(portal.wrap_async_context_manager(made))
+        if cell == "fleet":
+            yield (
+                Cell(client, portal, link, "left", "left"),
+                Cell(client, portal, link, "right", "right"),
+            )
+        else:
+            yield Cell(client, portal, link, {"fr3": "fr3", "pair": "fr3_pair"}[cell]), None
