@@ -44,8 +44,8 @@ def test_a_stop_by_a_signal_ends_no_process(monkeypatch: pytest.MonkeyPatch) -> 
 
     monkeypatch.setattr(
         module_of_nodes,
-        "SingleThreadedExecutor",
-        lambda: SimpleNamespace(add_node=lambda node: None, spin_once=lambda: None),
+        "TolerantExecutor",
+        lambda on_error: SimpleNamespace(add_node=lambda node: None, spin_once=lambda: None),
     )
     node: Any = SimpleNamespace(
         trigger_stop=refuse, status=SimpleNamespace(set_error=errors.append)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
+import logging
 import threading
 import time
 from collections.abc import Callable, Mapping
@@ -24,6 +24,8 @@ from rn_driver_ros2control.link import ControllerReport, End, GoalObserver, Meas
 from rn_driver_ros2control.options import Ros2ControlOptions
 from rn_driver_ros2control.trajectory import to_duration
 from roboneuron import NotReadyError, StateError
+
+log = logging.getLogger(__name__)
 
 _CANCELLED, _ABORTED = 5, 6
 """action_msgs/GoalStatus."""
@@ -121,8 +123,16 @@ class RosControllerLink:
             )
 
     def _spin(self) -> None:
-        with contextlib.suppress(ExternalShutdownException):
-            self._executor.spin()
+        """Execute callbacks until `close`; one that raises does not end the others."""
+        while (context := self._context) is not None and context.ok():
+            try:
+                self._executor.spin_once()
+            except ExternalShutdownException:
+                return
+            except Exception:  # of a callback, or of a message that cannot be taken
+                if self._context is not None:
+                    log.exception("A callback of ros2_control failed.")
+                    time.sleep(_LOOK_S)
 
     def _wait(self, condition: Callable[[], bool], absent: str) -> None:
         deadline_s = time.monotonic() + self._options.connect_timeout_s

@@ -111,7 +111,11 @@ class TopicTap:
         records, self._early = self._early, []
         for topic, (qos, subscription) in self._found.items():
             for _ in range(qos.depth):
-                taken = subscription.handle.take_message(subscription.msg_type, True)
+                try:
+                    taken = subscription.handle.take_message(subscription.msg_type, True)
+                except ros.RCLError as error:  # of one sample; the other topics are recorded
+                    log.warning("A message of %s cannot be recorded: %s", topic, error)
+                    break
                 if taken is None:
                     break
                 record = self._record(topic, *taken)
@@ -143,24 +147,25 @@ class TopicTap:
             message_type = _message_class(type_name)
             definition(type_name)
         except (ImportError, AttributeError, FileNotFoundError, ValueError) as error:
-            self._unusable.add(topic)
-            log.warning(
-                "%s is not recorded: its type %s is not installed here (%s).",
-                topic,
-                type_name,
-                error,
-            )
+            self._leave_out(topic, f"its type {type_name} is not installed here ({error})")
             return
 
         def ignore(_: bytes) -> None:
             """No effect: messages are taken in cycles."""
 
-        self._found[topic] = (
-            qos,
-            self._node.create_subscription(message_type, topic, ignore, qos, raw=True),
-        )
+        try:
+            made = self._node.create_subscription(message_type, topic, ignore, qos, raw=True)
+        except ros.RCLError:  # its text names neither the topic nor the cause
+            self._leave_out(topic, f"this process uses it with another type than {type_name}")
+            return
+        self._found[topic] = qos, made
         self._types[topic] = type_name
         log.info("Recording %s (%s).", topic, type_name)
+
+    def _leave_out(self, topic: str, reason: str) -> None:
+        self._unusable.add(topic)
+        self._found.pop(topic, None)
+        log.warning("%s is not recorded: %s.", topic, reason)
 
     def _record(self, topic: str, data: bytes, info: Mapping[str, int]) -> Record:
         """Create the record of a message; counts it and the missing ones before it."""

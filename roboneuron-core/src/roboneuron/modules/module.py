@@ -12,7 +12,6 @@ from typing import cast
 
 import rclpy
 from pydantic import ValidationError
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Bool
@@ -34,6 +33,7 @@ from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.loading import load_attribute
 from roboneuron.plugins.specs import FeatureSpec
 from roboneuron.ros.claim import LEAVE_S, claim
+from roboneuron.ros.executor import TolerantExecutor
 from roboneuron.ros.qos import STOP_REQUESTS
 
 _LOOP_PERIOD_S = 0.02
@@ -363,8 +363,18 @@ def _class_of(settings: ModuleSettings) -> type[Module]:
 
 
 def _spin(node: ModuleNode, signals: Signals) -> None:
-    """Process the node's callbacks until the process has to exit."""
-    executor = SingleThreadedExecutor()
+    """Process the node's callbacks until the process has to exit.
+
+    Raises:
+        InternalError: the executor serves nothing any more, not even the watchdogs.
+    """
+
+    def report(error: BaseException, name: str) -> None:
+        if not isinstance(error, Exception):  # a plugin ends the process: sys.exit
+            raise error
+        node.status.set_error(error)
+
+    executor = TolerantExecutor(report)
     executor.add_node(node)
     is_leaving = False
     while not is_leaving:  # wakes with every tick of the node's loop timer
@@ -372,6 +382,6 @@ def _spin(node: ModuleNode, signals: Signals) -> None:
         try:
             if signals.take_stop():
                 node.trigger_stop("the signal SIGUSR1")
-            executor.spin_once()
-        except Exception as error:  # the module border: a plugin's callback may raise anything
+        except Exception as error:  # the module border: a robot's driver may raise anything
             node.status.set_error(error)
+        executor.spin_once()

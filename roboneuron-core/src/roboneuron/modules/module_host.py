@@ -21,6 +21,7 @@ from roboneuron.errors import UnsafeError
 from roboneuron.modules.settings import NEEDS_NEW_START
 from roboneuron.modules.status import StatusWriter
 from roboneuron.plugins.discovery import discover
+from roboneuron.ros.executor import created
 from roboneuron.ros.qos import NEWEST
 from roboneuron.ros.topics import JOINT_COMMAND, JOINT_TRAJECTORY
 
@@ -145,13 +146,20 @@ class ModuleHost(LifecycleNode):  # type: ignore[misc]
 
         Raises:
             UnsafeError: the topic leads to the joints, which only `HoldingModule` commands.
+            ConfigurationError: as `roboneuron.ros.executor.created`.
         """
         if topic in _TO_JOINTS and not _TO_JOINTS.isdisjoint(self.outputs):
             raise UnsafeError(
                 f"{topic!r} would be a second path to the joints, beside the limits.",
                 hint="Ask for motion by `HoldingModule.act`.",
             )
-        publisher = self.create_lifecycle_publisher(message_type, topic, NEWEST)
+        publisher = created(
+            self,
+            "publisher",
+            topic,
+            message_type,
+            lambda: self.create_lifecycle_publisher(message_type, topic, NEWEST),
+        )
         self.outputs[topic] = publisher.get_subscription_count
         self.resources.callback(self.destroy_lifecycle_publisher, publisher)
         self.resources.callback(self.outputs.pop, topic)
@@ -173,9 +181,18 @@ class ModuleHost(LifecycleNode):  # type: ignore[misc]
             callback: takes the message, and its info if it has a second argument.
             qos: only the newest message is kept by default.
             group: callback group that calls it; None for the executor's.
+
+        Raises:
+            ConfigurationError: as `roboneuron.ros.executor.created`.
         """
-        subscription = self.create_subscription(
-            message_type, topic, callback, qos, callback_group=group
+        subscription = created(
+            self,
+            "subscription",
+            topic,
+            message_type,
+            lambda: self.create_subscription(
+                message_type, topic, callback, qos, callback_group=group
+            ),
         )
         self.resources.callback(self.destroy_subscription, subscription)
 

@@ -12,6 +12,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
 
+from roboneuron.ros.executor import created
 from roboneuron.ros.qos import NEWEST, requested_qos
 
 M = TypeVar("M")
@@ -52,7 +53,7 @@ class NodeTopics:
         if best_effort:
             self._follow(topic, message_type, deliver)
         else:
-            subscription = self._node.create_subscription(message_type, topic, deliver, NEWEST)
+            subscription = self._subscription(topic, message_type, deliver, NEWEST)
             self._made.callback(self._node.destroy_subscription, subscription)
 
     def _follow(self, topic: str, message_type: type[M], deliver: Callable[[M], None]) -> None:
@@ -72,7 +73,7 @@ class NodeTopics:
                 if subscription is not None:
                     node.destroy_subscription(subscription)
                 qos = wanted
-                subscription = node.create_subscription(message_type, topic, deliver, wanted)
+                subscription = self._subscription(topic, message_type, deliver, wanted)
 
         look()
         # of the present subscription, not of the first one
@@ -81,7 +82,14 @@ class NodeTopics:
 
     def advertise(self, topic: str, message_type: type[M]) -> Callable[[M], None]:
         """See `Topics.advertise`."""
-        publisher = self._node.create_publisher(message_type, topic, NEWEST)
+        node = self._node
+        publisher = created(
+            node,
+            "publisher",
+            topic,
+            message_type,
+            lambda: node.create_publisher(message_type, topic, NEWEST),
+        )
         self._made.callback(self._node.destroy_publisher, publisher)
         context = self._node.context
 
@@ -91,6 +99,18 @@ class NodeTopics:
                 publisher.publish(message)
 
         return publish
+
+    def _subscription(
+        self, topic: str, message_type: type[M], deliver: Callable[[M], None], qos: QoSProfile
+    ) -> Subscription:
+        node = self._node
+        return created(
+            node,
+            "subscription",
+            topic,
+            message_type,
+            lambda: node.create_subscription(message_type, topic, deliver, qos),
+        )
 
     def publisher_types(self, topic: str) -> tuple[str, ...]:
         """See `Topics.publisher_types`."""

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import logging
 import threading
+import time
 from collections.abc import Callable
+from concurrent.futures import Future as Answer
+from concurrent.futures import wait
 from contextlib import suppress
-from typing import Any, TypeAlias, TypeVar, cast
+from typing import Any, TypeAlias, TypeVar
 
 import rclpy
 from rclpy.action import ActionClient
 from rclpy.client import Client
 from rclpy.exceptions import InvalidHandle
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import ExternalShutdownException
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.publisher import Publisher
@@ -20,6 +23,7 @@ from rclpy.qos import QoSProfile
 from rclpy.task import Future
 
 from roboneuron.errors import InternalError
+from roboneuron.ros.executor import TolerantExecutor, created
 from roboneuron.ros.qos import requested_qos, usual_qos
 
 log = logging.getLogger(__name__)
@@ -35,6 +39,8 @@ _TASK_TIMEOUT_S = 10.0
 """Timeout of creating an entity: it takes milliseconds, or seconds on an overloaded machine; after
 that the ROS thread hangs.
 """
+_LOOK_S = 0.1
+"""Period of checking, while waiting for the ROS thread, that it still runs."""
 _LEAVE_S = 2.0
 """Timeout for the end of the executor and of its thread: a hanging callback must not block the
 server's exit.
@@ -49,19 +55,22 @@ class RosLink:
     one on another thread would leave a dead handle in it.
     """
 
-    def __init__(self, node_name: str) -> None:
+    def __init__(self, node_name: str, on_lost: Callable[[], object] = lambda: None) -> None:
         """Args:
         node_name: name in the root namespace.
+        on_lost: called on the executor's thread when that ends although the link is open; nothing
+            is received or created any more.
         """
         self._node_name = node_name
+        self._on_lost = on_lost
         self._context: Any = None
         self._node: Any = None
         self._executor: Any = None
         self._thread: threading.Thread | None = None
+        # written on the executor's thread only, so that nobody waits for it with a lock held
         self._clients: dict[tuple[type, str], Client] = {}
-        # Guards the clients, also while one is created on the executor's thread: callbacks, which
-        # run there, must not request a client.
-        self._lock = threading.Lock()
+        # set when the task has ended for which somebody waited too long
+        self._late: threading.Event | None = None
 
     def open(self) -> None:
         """Join the graph (about 0.4 s); `roboneuron.ros.environment.prepare_environment` must have
@@ -75,7 +84,7 @@ class RosLink:
             enable_rosout=False,
             start_parameter_services=False,
         )
-        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor = TolerantExecutor(_log_failure, context=self._context)
         self._executor.add_node(self._node)
         self._thread = threading.Thread(target=self._spin, name="ros-link", daemon=True)
         self._thread.start()
@@ -107,21 +116,62 @@ class RosLink:
         return self._node
 
     def on_executor(self, task: Callable[[], T]) -> T:
-        """Run `task` on the executor's thread; return its result or raise its exception.
-
-        Not callable from that thread (deadlock).
+        """Run `task` on the executor's thread; return its result or raise its exception, whatever
+        that is. Callable from any thread.
 
         Raises:
-            InternalError: the link is not open, or its thread hangs.
+            InternalError: the link is not open, or its thread hangs or has ended; the task is not
+                begun afterwards.
         """
-        if self._thread is None:
+        thread = self._thread
+        if thread is None:
             raise InternalError("The ROS link is not open.")
-        done = threading.Event()
-        future = self._executor.create_task(task)
-        future.add_done_callback(lambda _: done.set())
-        if not done.wait(_TASK_TIMEOUT_S):
-            raise InternalError(f"The ROS thread did not answer within {_TASK_TIMEOUT_S:g} s.")
-        return cast("T", future.result())
+        if thread is threading.current_thread():
+            return task()
+        if self._late is not None and not self._late.is_set():
+            raise _hangs()
+        answer, ended = Answer[T](), threading.Event()
+
+        def run() -> None:
+            try:
+                if answer.set_running_or_notify_cancel():
+                    answer.set_result(task())
+            except BaseException as error:  # of the caller, who gets it
+                answer.set_exception(error)
+            finally:
+                ended.set()
+
+        self._post(run)
+        deadline_s = time.monotonic() + _TASK_TIMEOUT_S
+        while not wait([answer], _LOOK_S).done:
+            if not thread.is_alive() and not answer.done():
+                raise InternalError("The ROS thread has ended.", hint="Start the server again.")
+            if time.monotonic() > deadline_s:
+                answer.cancel()
+                self._late = ended
+                raise _hangs()
+        return answer.result()
+
+    def create(self, noun: str, name: str, ros_type: type | None, make: Callable[[Node], T]) -> T:
+        """Create an entity of the node on the executor's thread.
+
+        Args:
+            noun, name, ros_type: as in `roboneuron.ros.executor.created`.
+            make: creates it on the node.
+
+        Raises:
+            ConfigurationError, StateError: as `created`.
+            InternalError: as `on_executor`.
+        """
+        node = self.node
+        return self.on_executor(lambda: created(node, noun, name, ros_type, lambda: make(node)))
+
+    def _post(self, run: Callable[[], None]) -> None:
+        """Have the executor's thread call `run`, which must not raise."""
+        try:
+            self._executor.create_task(run)
+        except (AttributeError, InvalidHandle) as error:  # the executor was shut down meanwhile
+            raise InternalError("The ROS link is not open.") from error
 
     def follow(
         self,
@@ -156,6 +206,9 @@ class RosLink:
             topic: absolute.
             callback: called on the executor's thread; its exceptions are logged.
             qos: profile of the subscription; the topic's usual one if None.
+
+        Raises:
+            RoboNeuronError: as `create`.
         """
         asked = qos or usual_qos(topic)
 
@@ -166,9 +219,12 @@ class RosLink:
             except Exception:
                 log.exception("The callback of %s failed.", topic)
 
-        node = self._node
-        subscription = self.on_executor(
-            lambda: node.create_subscription(message_type, topic, deliver, asked)
+        node = self.node
+        subscription = self.create(
+            "subscription",
+            topic,
+            message_type,
+            lambda node: node.create_subscription(message_type, topic, deliver, asked),
         )
         return lambda: self.on_executor(lambda: node.destroy_subscription(subscription))
 
@@ -179,8 +235,11 @@ class RosLink:
         nothing afterwards. Without `qos`, the topic's usual profile is used.
         """
         offered = qos or usual_qos(topic)
-        publisher = self.on_executor(
-            lambda: self._node.create_publisher(message_type, topic, offered)
+        publisher = self.create(
+            "publisher",
+            topic,
+            message_type,
+            lambda node: node.create_publisher(message_type, topic, offered),
         )
         return lambda message: self.send_if_possible(publisher, message)
 
@@ -213,19 +272,32 @@ class RosLink:
         return bool(self._client(service_type, name).service_is_ready())
 
     def _client(self, service_type: type, name: str) -> Client:
-        with self._lock:
-            client = self._clients.get((service_type, name))
-            if client is None:
-                client = self.on_executor(lambda: self._node.create_client(service_type, name))
-                self._clients[service_type, name] = client
-            return client
+        key = service_type, name
+        return self._clients.get(key) or self.create(
+            "client", name, service_type, lambda node: self._known_client(node, key)
+        )
+
+    def _known_client(self, node: Node, key: tuple[type, str]) -> Client:
+        if key not in self._clients:
+            self._clients[key] = node.create_client(*key)
+        return self._clients[key]
 
     def _spin(self) -> None:
         try:
             self._executor.spin()
         except ExternalShutdownException:
             log.debug("The ROS context was shut down.")
-        except InvalidHandle:
-            # on closing, the executor's own guard condition is destroyed while its last task ends
+        # on closing, the executor's own guard condition is destroyed while its last task ends
+        except Exception:
             if self._thread is not None:
-                raise
+                log.exception("The ROS thread ends.")
+        if self._thread is threading.current_thread():
+            self._on_lost()
+
+
+def _log_failure(error: BaseException, name: str) -> None:
+    log.error("A callback of %s failed.", name or "the ROS node", exc_info=error)
+
+
+def _hangs() -> InternalError:
+    return InternalError(f"The ROS thread did not answer within {_TASK_TIMEOUT_S:g} s.")

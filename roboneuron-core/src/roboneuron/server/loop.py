@@ -55,8 +55,11 @@ def _listen(link: RosLink, namespace: str) -> deque[SentAction]:
         actions.append((int(info["source_timestamp"]), tuple(message.data)))
 
     topic = f"/{namespace}/{ACTION}"
-    link.on_executor(
-        lambda: link.node.create_subscription(Float64MultiArray, topic, receive, STATUS)
+    link.create(
+        "subscription",
+        topic,
+        Float64MultiArray,
+        lambda node: node.create_subscription(Float64MultiArray, topic, receive, STATUS),
     )
     return actions
 

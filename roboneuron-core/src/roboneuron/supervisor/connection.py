@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import itertools
+import logging
 import os
+import signal
 import threading
 from collections.abc import Callable
 from concurrent.futures import Future
@@ -20,6 +22,7 @@ if TYPE_CHECKING:
     from roboneuron.ros.link import RosLink
 
 
+log = logging.getLogger(__name__)
 _OPEN_TIMEOUT_S = 30.0
 """Timeout of opening: joining takes half a second; importing rclpy from a cold disk takes many
 times that.
@@ -91,13 +94,21 @@ class Connection:
 
             from roboneuron.ros.link import RosLink  # heavy
 
-            link = RosLink(f"roboneuron_server_{os.getpid()}")
+            link = RosLink(f"roboneuron_server_{os.getpid()}", _end_process)
             link.open()
             link.subscribe(DiagnosticArray, DIAGNOSTICS, self._on_status)
         except BaseException as error:  # raised again in `link`
             self._opened.set_exception(error)
         else:
             self._opened.set_result(link)
+
+
+def _end_process() -> None:
+    """End this server as SIGTERM does: without its ROS thread it can neither watch nor command the
+    modules, which hold at their server's end.
+    """
+    log.critical("The ROS thread has ended: the server ends, and the modules with it.")
+    os.kill(os.getpid(), signal.SIGTERM)
 
 
 Connect = Callable[[Callable[["DiagnosticArray"], None], Path], Connection]

@@ -97,10 +97,11 @@ class Traffic:
         from rclpy.action import ActionClient  # heavy
 
         link, key = self.link(), (exposed.topic, exposed.endpoint.type)
+        kind, name = load_type(exposed.endpoint.type), exposed.topic
         with self._lock:
             if key not in self._actions:
-                self._actions[key] = link.on_executor(
-                    lambda: ActionClient(link.node, load_type(exposed.endpoint.type), exposed.topic)
+                self._actions[key] = link.create(
+                    "action client", name, kind, lambda node: ActionClient(node, kind, name)
                 )
             return self._actions[key]
 

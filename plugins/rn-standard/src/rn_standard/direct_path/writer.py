@@ -218,13 +218,16 @@ class TopicWriter:
             self.misfit = _UNSHOWN if kind is QoSPolicyKind.INVALID else kind.name.lower()
             self.has_new_misfit = True
 
-        made = self._link.on_executor(
-            lambda: node.create_publisher(
+        made = self._link.create(
+            "publisher",
+            self.topic,
+            self._message_type,
+            lambda node: node.create_publisher(
                 self._message_type,
                 self.topic,
                 profile,
                 event_callbacks=PublisherEventCallbacks(incompatible_qos=note),
-            )
+            ),
         )
         deadline_s = time.monotonic() + _REPLACE_S
         while self.matched() > made.get_subscription_count() and time.monotonic() < deadline_s:

@@ -145,8 +145,10 @@ class Watching:
         host.events.fault.listen(self._on_fault)
 
     def start(self) -> None:
-        """Subscribe to the topics. Raises RoboNeuronError if ROS cannot be joined or a type is not
-        installed.
+        """Subscribe to the topics; one that cannot be used is logged and left out.
+
+        Raises:
+            RoboNeuronError: ROS cannot be joined, or the battery's topic cannot be used.
         """
         if self._options.battery_low > 0:
             low = Crossing(None, self._options.battery_low, _CHARGED)
@@ -159,9 +161,12 @@ class Watching:
         for name, threshold in self._options.thresholds.items():
             crossing = Crossing(threshold.above, threshold.below, threshold.hysteresis)
             take = partial(self._on_message, name, threshold, crossing)
-            self._ends.append(
-                self._host.subscribe(load_type(threshold.type), threshold.topic, take)
-            )
+            try:
+                end = self._host.subscribe(load_type(threshold.type), threshold.topic, take)
+            except (ConfigurationError, InvalidInputError) as error:
+                log.warning("The threshold %r is not watched: %s", name, error)
+            else:
+                self._ends.append(end)
 
     def close(self) -> None:
         """Unsubscribe; idempotent."""

@@ -15,6 +15,7 @@ from rn_standard.tasks.snapshot import ArmSnapshot, Snapshot, StillClock
 from rn_standard.tasks.task_robot import PolicyState
 from rn_standard.teleoperation.feature import TELEOPERATION, Teleoperation
 from roboneuron import (
+    ConfigurationError,
     Frame,
     GripperProfile,
     Host,
@@ -80,6 +81,7 @@ class LiveCell:
         """Subscribe to the required topics; waits briefly for the cameras' first images.
 
         Raises:
+            InvalidInputError: a topic of a predicate is used here with another type.
             RoboNeuronError: ROS cannot be joined, or a topic's type is not installed.
         """
         space = self._host.config.namespace
@@ -87,7 +89,12 @@ class LiveCell:
         for arm in ("", *self._arms):
             self._inputs.open(pose_topic(space, arm), "geometry_msgs/msg/PoseStamped")
         for topic, type_name in self._topics.items():
-            self._inputs.open(topic, type_name)
+            try:
+                self._inputs.open(topic, type_name)
+            except ConfigurationError as error:  # for the agent it is an argument
+                raise InvalidInputError(
+                    f"until: {error.message}", hint=error.hint, path="until"
+                ) from error
         for camera in self._cameras:
             self._inputs.open(self._image_topic(camera), "sensor_msgs/msg/Image")
         wanted = [self._image_topic(camera) for camera in self._cameras]
