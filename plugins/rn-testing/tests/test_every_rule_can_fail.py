@@ -169,9 +169,11 @@ def outcome_of_the_good(rule_id: str) -> RuleResult:
 
 @pytest.fixture(autouse=True)
 def _what_mutants_leave(tmp_path, monkeypatch):
-    """Put files of mutants into the test's folder, and close what they left open."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    """Put files of mutants into the test's folders, and close what they left open."""
+    for name in ("here", "temporary"):
+        (tmp_path / name).mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "temporary"))
     yield
     while mutants_processes.LEFT:
         os.close(mutants_processes.LEFT.pop())

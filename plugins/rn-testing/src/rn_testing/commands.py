@@ -22,9 +22,9 @@ from roboneuron import (
     rotvec_from_matrix,
 )
 
-TRUTH_M, TRUTH_RAD = 5e-4, 5e-3
-"""Tolerance between the end of a command and its residual: the residual itself is compared, so this
-only covers rounding and solvers that stop early.
+TRUTH_M, TRUTH_RAD = 1e-5, 1e-4
+"""Tolerance between the end of a command and its residual, for rounding: the residual itself is
+compared. Below what solvers leave that stop at a tolerance, so that a residual of 0 is noticed.
 """
 
 

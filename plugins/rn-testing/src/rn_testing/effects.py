@@ -14,8 +14,9 @@ import tracemalloc
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TypeVar
+from typing import TypeVar, cast
 
 from rn_testing.rule import NotApplicable, Violation
 from rn_testing.waiting import holds_within
@@ -57,7 +58,7 @@ _EVENTS = {
 }
 _IMPORT_SUFFIXES = (".py", ".pyc", ".so")
 _observed: ContextVar[list[str] | None] = ContextVar("observed_effects", default=None)
-_created: ContextVar[list[Path] | None] = ContextVar("created_files", default=None)
+_marks: ContextVar[Marks | None] = ContextVar("marks", default=None)
 
 
 def find_effects(action: Callable[[], T]) -> tuple[T, list[str]]:
@@ -91,42 +92,74 @@ def _install_hook() -> None:
     sys.addaudithook(_audit)
 
 
-@contextmanager
-def watch_new_files(created: list[Path]) -> Iterator[None]:
-    """Record in `created` the files that this thread creates in the temporary and the working
-    folder.
+@dataclass(slots=True)
+class Marks:
+    """What one thread does to its process and to files around it, as the interpreter reports it.
+
+    An action is recorded when it happens, also if it sets what is set already or is undone later:
+    the state before and after it would be the same.
+
+    Attributes:
+        created: new files and folders of the temporary folder.
+        written: files and folders of the working folder that were written.
+        folders: working folders that were set.
+        variables: environment variables that were set or removed.
     """
+
+    folder: Path
+    created: list[Path] = field(default_factory=list)
+    written: list[Path] = field(default_factory=list)
+    folders: list[str] = field(default_factory=list)
+    variables: list[str] = field(default_factory=list)
+
+    def note(self, event: str, arguments: tuple[object, ...]) -> None:
+        """Record an audit event. Source: the Python documentation, "Audit events table"."""
+        if event == "os.chdir":
+            self.folders.append(str(arguments[0]))
+        elif event in ("os.putenv", "os.unsetenv"):
+            self.variables.append(os.fsdecode(cast("bytes | str", arguments[0])))
+        elif event in ("tempfile.mkdtemp", "tempfile.mkstemp"):
+            self.created.append(Path(str(arguments[0])))
+        elif event == "os.mkdir" or (event == "open" and _writes(arguments[2])):
+            self._note_path(arguments[0])
+
+    def _note_path(self, name: object) -> None:
+        if not isinstance(name, (str, bytes, os.PathLike)):
+            return
+        path = Path(os.fsdecode(name)).absolute()
+        if path.suffix.startswith(".pyc") or path.name == "__pycache__":
+            return
+        temporary = Path(tempfile.gettempdir())
+        is_deeper = self.folder != temporary and self.folder.is_relative_to(temporary)
+        is_here = path.is_relative_to(self.folder)
+        if is_here and (is_deeper or not path.is_relative_to(temporary)):
+            self.written.append(path)
+        elif path.is_relative_to(temporary) and not path.exists():
+            self.created.append(path)
+
+
+def _writes(flags: object) -> bool:
+    return isinstance(flags, int) and bool(flags & (os.O_WRONLY | os.O_RDWR | os.O_CREAT))
+
+
+@contextmanager
+def watch_marks() -> Iterator[Marks]:
+    """Record what this thread does to the process and to files."""
     _install_hook()
     # the first call writes a file, which must not happen inside the hook
     tempfile.gettempdir()
-    token = _created.set(created)
+    marks = Marks(Path.cwd())
+    token = _marks.set(marks)
     try:
-        yield
+        yield marks
     finally:
-        _created.reset(token)
-
-
-def _note_new_file(created: list[Path], event: str, arguments: tuple[object, ...]) -> None:
-    if event in ("tempfile.mkdtemp", "tempfile.mkstemp"):
-        created.append(Path(str(arguments[0])))
-        return
-    name, flags = arguments[0], arguments[2]
-    if (
-        not isinstance(name, (str, bytes, os.PathLike))
-        or not isinstance(flags, int)
-        or not flags & os.O_CREAT
-    ):
-        return
-    path = Path(os.fsdecode(name)).absolute()
-    is_near = path.parent == Path.cwd() or path.is_relative_to(tempfile.gettempdir())
-    if is_near and not path.exists() and not path.suffix.startswith(".pyc"):
-        created.append(path)
+        _marks.reset(token)
 
 
 def _audit(event: str, arguments: tuple[object, ...]) -> None:
-    created = _created.get()
-    if created is not None and event in ("open", "tempfile.mkdtemp", "tempfile.mkstemp"):
-        _note_new_file(created, event, arguments)
+    marks = _marks.get()
+    if marks is not None:
+        marks.note(event, arguments)
     effects = _observed.get()
     if effects is None or event not in _EVENTS:
         return

@@ -278,7 +278,7 @@ class Lifecycle(Generic[CaseT, C]):
             subject.close()
 
     def _check_process(self, case: CaseT) -> None:
-        attempt(case, attempt(case, case.prepare))
+        attempt(case, case.prepare)  # imports, which change the process once, are not judged
 
         def run() -> None:
             with self.running(case) as subject:

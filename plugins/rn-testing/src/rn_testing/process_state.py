@@ -28,7 +28,7 @@ from typing import Any, Generic, TextIO, TypeVar
 
 import numpy as np
 
-from rn_testing.effects import watch_new_files
+from rn_testing.effects import Marks, watch_marks
 
 LIBRARY_VARIABLES = (
     "OPENCV_",
@@ -55,11 +55,17 @@ Hooks = tuple["Callable[..., object]", "Callable[..., object]"]
 
 @dataclass(frozen=True, slots=True)
 class _Aspect(Generic[T]):
-    """One part of the state: its name, and functions to read and restore it."""
+    """One part of the state: its name, and functions to read and restore it.
+
+    Attributes:
+        unusual: values that no plugin sets, one of which stands before a trial: a plugin that was
+            built before has set its own already, and would change nothing.
+    """
 
     name: str
     read: Callable[[], T]
     restore: Callable[[T], object]
+    unusual: tuple[T, ...] = ()
 
 
 def _environment() -> dict[str, str]:
@@ -140,21 +146,31 @@ _ASPECTS: tuple[_Aspect[Any], ...] = (
         lambda: {n: signal.getsignal(n) for n in signal.valid_signals()},
         _restore_handlers,
     ),
-    _Aspect("the umask", _umask, os.umask),
+    _Aspect("the umask", _umask, os.umask, (0o027, 0o037)),
     _Aspect(
         "the locale",
         lambda: locale.setlocale(locale.LC_ALL),
         lambda v: locale.setlocale(locale.LC_ALL, v),
     ),
-    _Aspect("the default time-out of sockets", socket.getdefaulttimeout, socket.setdefaulttimeout),
+    _Aspect(
+        "the default time-out of sockets",
+        socket.getdefaulttimeout,
+        socket.setdefaulttimeout,
+        (977.0, 983.0),
+    ),
     _Aspect("sys.path", lambda: tuple(sys.path), _restore_path),
     _Aspect("hooks for exceptions", lambda: (sys.excepthook, threading.excepthook), _restore_hooks),
-    _Aspect("the recursion limit", sys.getrecursionlimit, sys.setrecursionlimit),
+    _Aspect("the recursion limit", sys.getrecursionlimit, sys.setrecursionlimit, (2003, 2011)),
     _Aspect("the root logger", _logging, _restore_logging),
     _Aspect("the filters of warnings", lambda: tuple(warnings.filters), _restore_filters),
     _Aspect("NumPy's handling of errors", np.geterr, lambda v: np.seterr(**v)),
     _Aspect("NumPy's print options", np.get_printoptions, lambda v: np.set_printoptions(**v)),
-    _Aspect("garbage collection", gc.isenabled, lambda on: gc.enable() if on else gc.disable()),
+    _Aspect(
+        "garbage collection",
+        gc.isenabled,
+        lambda on: gc.enable() if on else gc.disable(),
+        (True, True),
+    ),
     _Aspect("exit handlers", lambda: getattr(atexit, "_ncallbacks", int)(), lambda v: None),
     _Aspect("standard streams", lambda: (sys.stdout, sys.stderr), _restore_streams),
     _Aspect("PyTorch's defaults", _torch_defaults, _restore_torch_defaults),
@@ -247,29 +263,55 @@ class _Trial:
     generators: dict[str, bytes]
 
 
-def _try(action: Callable[[], object], seed: int) -> _Trial:
+def _try(action: Callable[[], object], trial: int) -> _Trial:
     asked: list[str] = []
     printed: list[str] = []
-    created: list[Path] = []
     before = [aspect.read() for aspect in _ASPECTS]
     changes: list[str] = []
-    with _seeded(seed):
-        begun = {name: read() for name, read in _generators().items()}
-        with watch_new_files(created), _watched_handlers(asked), _watched_output(printed):
-            within = [aspect.read() for aspect in _ASPECTS]
-            action()
-            after = [aspect.read() for aspect in _ASPECTS]
-        ended = {name: read() for name, read in _generators().items() if name in begun}
-    for aspect, then, now, old in zip(_ASPECTS, within, after, before, strict=True):
-        if now != then:
-            changes.append(f"changes {aspect.name}{_difference(then, now)}")
-            aspect.restore(old)
+    try:
+        for aspect in _ASPECTS:
+            if aspect.unusual:
+                aspect.restore(aspect.unusual[trial])
+        with _seeded(_SEEDS[trial]):
+            begun = {name: read() for name, read in _generators().items()}
+            with watch_marks() as marks, _watched_handlers(asked), _watched_output(printed):
+                within = [aspect.read() for aspect in _ASPECTS]
+                action()
+                after = [aspect.read() for aspect in _ASPECTS]
+            ended = {name: read() for name, read in _generators().items() if name in begun}
+    finally:
+        for aspect, old in zip(_ASPECTS, before, strict=True):
+            if aspect.read() != old:
+                aspect.restore(old)
+    changes += [
+        f"changes {aspect.name}{_difference(then, now)}"
+        for aspect, then, now in zip(_ASPECTS, within, after, strict=True)
+        if now != then
+    ]
+    changes += _marked(marks, {change.partition(" (")[0] for change in changes})
     changes += [f"sets a handler for {name}" for name in dict.fromkeys(asked)]
     changes += [f"writes to standard output ({text[:60]!r})" for text in printed]
-    changes += [f"leaves {path}" for path in created if path.exists()]
     return _Trial(
         tuple(changes), {name: state for name, state in ended.items() if state != begun[name]}
     )
+
+
+def _marked(marks: Marks, known: set[str]) -> list[str]:
+    """Changes that a comparison of the state before and after does not show."""
+    variables = sorted(
+        {name for name in marks.variables if not name.startswith((*LIBRARY_VARIABLES, "PYTEST_"))}
+    )
+    found = {
+        "changes the working folder": marks.folders,
+        "changes the environment": variables,
+        "writes into the working folder": [str(path) for path in marks.written],
+    }
+    told = [
+        f"{change} ({', '.join(dict.fromkeys(items))[:80]})"
+        for change, items in found.items()
+        if items and change not in known
+    ]
+    return told + [f"leaves {path}" for path in marks.created if path.exists()]
 
 
 def _difference(then: object, now: object) -> str:
@@ -283,10 +325,10 @@ def find_changes(action: Callable[[], object]) -> list[str]:
     """Run `action` in this thread, once or twice; return a sentence part for each change that
     occurs every time.
     """
-    first = _try(action, _SEEDS[0])
+    first = _try(action, 0)
     if not first.changes and not first.generators:
         return []
-    second = _try(action, _SEEDS[1])
+    second = _try(action, 1)
     kinds = {change.partition(" (")[0] for change in second.changes}
     leaves = any(change.startswith("leaves ") for change in second.changes)
     changes = [

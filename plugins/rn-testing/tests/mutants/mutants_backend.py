@@ -88,6 +88,17 @@ def drifting(self, call, observation):
     return plus(call(observation), 0.002 * counted(self))
 
 
+def drifting_slowly(self, call, observation):
+    return plus(call(observation), 1e-4 * counted(self))
+
+
+def any_camera(self, call, observation):
+    """Takes the first other camera for a missing primary one."""
+    if not observation.frames or "primary" in observation.frames:
+        return call(observation)
+    return call(replace(observation, frames={"primary": next(iter(observation.frames.values()))}))
+
+
 def first_frame_only(self, call, observation):
     chunk = call(observation)
     size = observation.frames["primary"].image.shape
@@ -292,6 +303,13 @@ MUTANTS: dict[str, Mutant] = {
         "StateError",
         predict=lambda s, call, o: call(o) if "primary" in o.frames else raise_state(),
     ),
+    "any_camera_stands_in": but("missing-frame-refused", "overhead", predict=any_camera),
+    "an_optional_camera_stands_in": but(
+        "missing-frame-refused",
+        "wrist",
+        spec={"optional_cameras": ("wrist",)},
+        predict=lambda s, call, o: any_camera(s, call, o) if "wrist" in o.frames else call(o),
+    ),
     "optional_camera_crashes": but(
         "optional-frames-used",
         spec={"optional_cameras": ("wrist",)},
@@ -308,6 +326,7 @@ MUTANTS: dict[str, Mutant] = {
     "reset_breaks": but("reset-safe", reset=lambda s, call: s.close()),
     "reset_only_once": but("reset-safe", reset=lambda s, call: None if counted(s) < 3 else [][0]),
     "reset_forgets_nothing": but("reset-forgets", predict=drifting),
+    "reset_forgets_no_small_drift": but("reset-forgets", predict=drifting_slowly),
     "noise": but("reset-forgets", predict=lambda s, call, o: plus(call(o), noise(0.01))),
     "noise_of_the_instance": but(
         "repeatable", __init__=noise_once, predict=lambda s, call, o: plus(call(o), s.noise)

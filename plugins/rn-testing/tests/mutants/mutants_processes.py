@@ -109,6 +109,15 @@ CHANGES: dict[str, Callable[[], object]] = {
     "replaces_stdout": lambda: setattr(sys, "stdout", sys.stderr),
     "leaves_a_temporary_folder": lambda: tempfile.mkdtemp(prefix="left-by-a-mutant-"),
     "leaves_a_file_in_the_folder": write_here,
+    "rewrites_a_file_in_the_folder": lambda: Path("state-of-a-mutant.json").write_text("{}"),
+    "writes_into_a_folder_of_the_folder": lambda: then(
+        Path("cache").mkdir(exist_ok=True), Path("cache/of-a-mutant").write_text("")
+    ),
+    "changes_the_folder_and_back": lambda: then(here := os.getcwd(), os.chdir("/"), os.chdir(here)),
+    "changes_a_variable_and_back": lambda: then(
+        os.environ.update(ROBONEURON_MUTANT="2"), os.environ.pop("ROBONEURON_MUTANT")
+    ),
+    "sets_the_recursion_limit": lambda: sys.setrecursionlimit(5000),
 }
 """Changes of the process, by name."""
 OF_EVERY_KIND = (
@@ -233,8 +242,26 @@ def slowly(self: Any, call: Callable[..., object], *arguments: object, **named: 
     call(*arguments, **named)
 
 
+def constructing(name: str) -> Mutant:
+    """A backend whose constructor makes the change, so that it stands when the rule begins."""
+    target = mutate(InstantBackend, **doing("__init__", CHANGES[name]))
+    return Mutant(rule="backend/process-left-alone", target=target)
+
+
+IN_CONSTRUCTOR = (
+    "changes_the_folder",
+    "changes_the_environment",
+    "stops_garbage_collection",
+    "changes_the_umask",
+    "changes_the_default_timeout",
+    "sets_the_recursion_limit",
+    "rewrites_a_file_in_the_folder",
+)
+
 MUTANTS: dict[str, Mutant] = {
     **{f"backend_{name}": changing("backend", name) for name in CHANGES},
+    **{f"backend_{name}_in_use": changing("backend", name, in_use=True) for name in IN_CONSTRUCTOR},
+    **{f"backend_constructor_{name}": constructing(name) for name in IN_CONSTRUCTOR},
     **{
         f"{kind}_{name}": changing(kind, name)
         for kind in BASES

@@ -5,6 +5,7 @@ inputs are refused.
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -52,6 +53,10 @@ INSTRUCTIONS = {
     "an instruction of 2,000 characters": "pick it up " * 180,
 }
 """Instructions as people may type them, outside a policy's training data."""
+LEAST_BETWEEN, MOST_BETWEEN, BETWEEN_S = 3, 60, 1.0
+"""Predictions between two resets: at least, at most, and the time after which no more are made [s].
+Many, because a small drift with each adds up to more than REPEATED.
+"""
 REPEATED = 1e-3
 """Tolerance of repeated predictions, for rounding of parallel sums on a GPU [m, rad, opening]."""
 
@@ -232,14 +237,18 @@ def _compare(first: ActionChunk, again: ActionChunk, when: str) -> None:
 def _check_forgets(case: BackendCase) -> None:
     observation = case.observation()
     other = with_images(observation, lambda frame: 255 - frame.image)
+    begun_s = time.monotonic()
     with loaded(case) as backend:
         backend.reset()
         first = predict(case, backend, observation)
-        for seen in (observation, replace(other, instruction="put it down"), observation):
+        for count in range(MOST_BETWEEN):
+            seen = replace(other, instruction="put it down") if count == 1 else observation
             try:
                 backend.predict(seen)
             except RoboNeuronError:  # the other image may show nothing to act on
                 continue
+            if count >= LEAST_BETWEEN and time.monotonic() - begun_s > BETWEEN_S:
+                break
         backend.reset()
         again = predict(case, backend, observation)
     _compare(first, again, "for the same observation, each time after reset(),")

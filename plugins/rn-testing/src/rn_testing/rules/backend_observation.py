@@ -26,26 +26,32 @@ from roboneuron import (
 )
 
 _SOURCE = "roboneuron.contract.protocols.Backend"
+FOREIGN_ROLE = "overhead"
+"""Role of a camera that no backend declares."""
 
 
 def _without_each_frame(case: BackendCase, whole: Observation) -> Iterator[tuple[str, Observation]]:
+    """Observations that lack one declared role: alone, and with another camera that must not stand
+    in for it.
+    """
     for role in case.spec.cameras:
-        yield (
-            role,
-            replace(
-                whole, frames={name: frame for name, frame in whole.frames.items() if name != role}
-            ),
-        )
+        frames = {name: frame for name, frame in whole.frames.items() if name != role}
+        yield f"the frame {role!r}", replace(whole, frames=frames)
+        for other in (*case.spec.optional_cameras, FOREIGN_ROLE):
+            more = {**frames, other: replace(whole.frames[role], camera=other)}
+            yield f"the frame {role!r} but with {other!r}", replace(whole, frames=more)
 
 
 def _check_missing_frame(case: BackendCase) -> None:
     if not case.spec.cameras:
         raise NotApplicable("it declares no cameras")
     with loaded(case) as backend:
-        for role, blind in _without_each_frame(case, case.observation()):
-            what = f"predict without the frame {role!r}"
+        for what, blind in _without_each_frame(case, case.observation()):
             expect_refusal(
-                partial(backend.predict, blind), what, InvalidInputError, UngroundedError
+                partial(backend.predict, blind),
+                f"predict without {what}",
+                InvalidInputError,
+                UngroundedError,
             )
 
 
@@ -136,7 +142,7 @@ RULES: tuple[Rule[BackendCase], ...] = (
     backend_rule(
         "missing-frame-refused",
         "An observation that lacks a declared camera role is an InvalidInputError or an "
-        "UngroundedError.",
+        "UngroundedError, whatever other cameras it has.",
         f"{_SOURCE}.predict",
         _check_missing_frame,
     ),

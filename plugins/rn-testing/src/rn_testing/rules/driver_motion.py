@@ -4,6 +4,7 @@ the newest command. `driver_stops` has the rest.
 
 from __future__ import annotations
 
+import math
 import time
 from contextlib import suppress
 from dataclasses import replace
@@ -21,7 +22,7 @@ from rn_testing.rules.driver import (
     read_state,
 )
 from rn_testing.waiting import holds_within
-from roboneuron import F64, JointCommand, RoboNeuronError, RobotDriver
+from roboneuron import F64, InvalidInputError, JointCommand, RoboNeuronError, RobotDriver
 
 AHEAD = 0.35
 """Tolerated lead over uniform motion, as a share of the distance; smooth profiles stay below, a
@@ -38,6 +39,8 @@ SLOWEST, FASTEST = 0.1, 10.0
 value. The bounds are wide because a simulation that lags on a busy machine reports velocities of
 its own time.
 """
+OFF_ZERO = 6
+"""Least distance of a joint from 0, in tolerances of the case, before others are moved."""
 OPENINGS = (0.5, 0.0, 1.0)
 """Gripper openings commanded in the rules."""
 OPENING_TOLERANCE = 0.15
@@ -102,6 +105,58 @@ def _check_by_name(case: RobotCase) -> None:
         turned = replace(command, names=command.names[::-1], position=command.position[::-1])
         sent = send_checked(case, driver, turned)
         check_arrival(case, driver, goal, sent, "a command with its joints in another order")
+
+
+def _posture_off_zero(case: RobotCase, driver: RobotDriver) -> F64:
+    """Move the arm until no joint is near 0, and return the goal: a joint that is sent to 0 from
+    there moves visibly.
+    """
+    goal = arm_position(case, driver)
+    for joint in range(len(goal)):
+        if abs(goal[joint]) < OFF_ZERO * case.tolerance:
+            steps = math.ceil(2 * OFF_ZERO * case.tolerance / case.step)
+            goal = shifted(case, goal, steps, joint)
+    limits = arm_limits(case)
+    far = float((np.abs(goal - arm_position(case, driver)) / limits.velocity).max())
+    sent = send_checked(case, driver, arm_command(case, goal, max(0.5, 2 * far)))
+    check_arrival(case, driver, goal, sent, "a command for all joints")
+    return goal
+
+
+def _check_unnamed(case: RobotCase) -> None:
+    arm_limits(case)
+    profile = case.profile()
+    with opened(case) as driver:
+        posture = _posture_off_zero(case, driver)
+        opening = read_state(case, driver).gripper_open
+        for joint, name in ((-1, profile.arm_joints[-1]), (0, profile.arm_joints[0])):
+            goal = shifted(case, posture, 1, joint)
+            others = np.arange(len(goal)) != joint % len(goal)
+            command = JointCommand(names=(name,), position=goal[[joint]], duration_s=0.5)
+            with suppress(InvalidInputError):  # a driver may need all joints
+                send_checked(case, driver, command)
+            holds_within(
+                lambda o=others: (
+                    float(np.abs(arm_position(case, driver) - posture)[o].max())  # type: ignore[misc]
+                    > case.tolerance
+                ),
+                2 * command.duration_s,
+            )
+            off = float(np.abs(arm_position(case, driver) - posture)[others].max())
+            require(
+                off <= case.tolerance,
+                f"a command for {name!r} alone moved another joint by {off:.4f}",
+            )
+            driver.send(arm_command(case, posture))
+            holds_within(
+                lambda: bool(np.abs(arm_position(case, driver) - posture).max() <= case.tolerance),
+                case.settle_s,
+            )
+        held = read_state(case, driver).gripper_open
+    require(
+        opening is None or held is None or abs(held - opening) <= OPENING_TOLERANCE,
+        f"commands without the gripper moved it from {opening} to {held}; it may hold something",
+    )
 
 
 def _check_pace(
@@ -248,6 +303,12 @@ RULES: tuple[Rule[RobotCase], ...] = (
         "Commanded joints are taken by name, in any order.",
         "send",
         _check_by_name,
+    ),
+    driver_rule(
+        "unnamed-joints-stay",
+        "A command for some joints moves no other joint, nor the gripper; or it is refused.",
+        "send",
+        _check_unnamed,
     ),
     driver_rule(
         "duration-kept",
