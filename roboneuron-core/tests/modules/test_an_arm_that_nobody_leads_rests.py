@@ -11,8 +11,9 @@ from control_cell import Cell, MakeHost, duration_s
 from std_msgs.msg import Float64MultiArray
 
 from rn_simulation.setpoint import JointSetpoint
+from rn_standard.direct_path.exposed import ACTING_TOPIC
 from rn_standard.teleoperation import in_control
-from rn_standard.teleoperation.rows import LeadRow, Mode, RowKind
+from rn_standard.teleoperation.rows import Acting, LeadRow, Mode, RowKind
 
 TICK_S, ROW_S, LAG_TICKS = 0.005, 0.02, 4
 REST_S, GONE_S = 0.2, 1.0
@@ -70,6 +71,10 @@ class LedCell(Cell):
                 if self.ticks % round(period_s / TICK_S) == 0:
                     callback()
 
+    def acting(self) -> Acting:
+        """What control reported last."""
+        return Acting.from_message(self.host.publishers[ACTING_TOPIC].messages[-1])
+
     def rest_s(self, since_s: float) -> float:
         moving = [at for at, speed in self.velocities if at > since_s and abs(speed) > STILL]
         return max(moving, default=since_s) - since_s
@@ -126,3 +131,17 @@ def test_nothing_but_the_braking_moves_an_arm_whose_lead_is_lost(cell: LedCell) 
     assert "the lead was lost" in cell.host.needs_start
     cell.act(-0.01)
     assert cell.drops()["needs_new_start"] == 1
+
+
+def test_control_reports_who_moves_the_arm_and_what_limits_it(make_host: MakeHost) -> None:
+    cell = LedCell(make_host, extra="[limits]\nmax_speed_m_s = 0.05\n")
+    cell.act(0.001)
+    assert (cell.acting().who, cell.acting().share, cell.acting().limits) == ("policy", 1.0, "")
+    cell.run(ROW_S, lambda: cell.act(0.1))
+    limited = cell.acting()
+    assert limited.who == "policy"
+    assert 0.0 < limited.share < 1.0
+    assert limited.limits
+    cell.host.stopped = True
+    cell.act(0.001)
+    assert (cell.acting().who, cell.acting().share) == ("nobody", 1.0)

@@ -206,6 +206,9 @@ def test_joints_that_a_lead_does_not_name_stand_still() -> None:
     velocities = space_row(robot_space("joint_velocity", profile), asked, joints)
     assert velocities[0] == 0.1
     assert not velocities[1:].any()
+    moved = replace(asked, kind="joint_position", values=np.array([0.4]), gripper_open=0.5)
+    positions = space_row(robot_space("joint_position", profile), moved, joints)
+    assert positions == pytest.approx([0.4, *[0.3] * (len(profile.arm_joints) - 1), 0.5])
     wrong = LeadRow(
         session="a",
         number=1,

@@ -134,6 +134,10 @@ def _restore_streams(before: tuple[TextIO, TextIO]) -> None:
     sys.stdout, sys.stderr = before
 
 
+def _is_closed(stream: TextIO | None) -> bool:
+    return stream is None or stream.closed
+
+
 def _restore_hooks(before: Hooks) -> None:
     sys.excepthook, threading.excepthook = before
 
@@ -173,6 +177,7 @@ _ASPECTS: tuple[_Aspect[Any], ...] = (
     ),
     _Aspect("exit handlers", lambda: getattr(atexit, "_ncallbacks", int)(), lambda v: None),
     _Aspect("standard streams", lambda: (sys.stdout, sys.stderr), _restore_streams),
+    _Aspect("standard input", lambda: (sys.stdin, _is_closed(sys.stdin)), lambda before: None),
     _Aspect("PyTorch's defaults", _torch_defaults, _restore_torch_defaults),
 )
 

@@ -159,6 +159,30 @@ def unnamed_to(value):
     return send
 
 
+def shared_state(self, call):
+    """All states share one array, which the next `read` overwrites."""
+    state = call()
+    self.shared = getattr(self, "shared", np.zeros(len(state.joints.position)))
+    self.shared[:] = state.joints.position
+    joints = replace(state.joints)
+    object.__setattr__(joints, "position", self.shared)
+    return replace(state, joints=joints)
+
+
+def last_of_two_names(self, call, command):
+    """A joint that is named twice goes to the last of its positions."""
+    if len(command.position) != len(command.names):
+        return call(command)
+    merged = dict(zip(command.names, command.position.tolist(), strict=True))
+    return call(replace(command, names=tuple(merged), position=np.array(list(merged.values()))))
+
+
+def opens_on_hold(self, call):
+    call()
+    here = {**self._positions(), "finger": 0.04}
+    self._move(here, here, 0.0)
+
+
 def gripper_closes_unnamed(self, call, command):
     if not self._start or "finger" in command.names or len(command.position) != len(command.names):
         return call(command)
@@ -343,6 +367,9 @@ DRIVERS: dict[str, Mutant] = {
     "joints_in_the_order_of_the_profile": but(
         "joints-by-name", case={"settle_s": 0.2}, send=in_profile_order
     ),
+    "states_share_an_array": but("state-kept", read=shared_state),
+    "takes_a_joint_named_twice": but("bad-command-refused", "twice", send=last_of_two_names),
+    "hold_opens_the_gripper": but("hold-stops", "gripper", hold=opens_on_hold),
     "unnamed_joints_to_zero": but("unnamed-joints-stay", "another joint", send=unnamed_to(0.0)),
     "unnamed_joints_to_a_limit": but("unnamed-joints-stay", send=unnamed_to(1.0)),
     "unnamed_joints_beyond_their_last_goal": but(

@@ -7,6 +7,7 @@ detected.
 from __future__ import annotations
 
 import subprocess
+import threading
 import time
 import warnings
 from dataclasses import replace
@@ -94,6 +95,62 @@ def child(self, call, *arguments, **named):
     return call(*arguments, **named)
 
 
+def clips_in_place(self, call, command):
+    if self._start:
+        command.position.flags.writeable = True
+        command.position += 1e-6
+    return call(command)
+
+
+def goes_home_on_close(self, call):
+    """Moves for a moment before it is closed."""
+    if self._start:
+        seen = self.__dict__.setdefault("seen", [])
+        seen.append(self._positions())
+        goal = dict.fromkeys(self._start, 0.0)
+        self._move(self._positions(), goal, 0.2)
+        time.sleep(0.25)
+    call()
+
+
+def first_jump(self, call, command):
+    sent = call(command)
+    if counted(self) == 1:
+        self._duration_s = 0.0
+    return sent
+
+
+def widened_limits(self, call):
+    call()
+    self._profile.limits.upper.flags.writeable = True
+    self._profile.limits.upper[:] += 0.1
+
+
+def about_the_base(self, call, action, joints, step_s):
+    """Turns the TCP about the origin of the base."""
+    result = call(action, joints, step_s)
+    turn = action.rotation_rad
+    if isinstance(result, Hold) or not np.any(turn):
+        return result
+    position = result.position.copy()
+    position[:3] += np.cross(turn, self._measured(joints)[:3])
+    return replace(result, position=position)
+
+
+def opens_gripper_when_still(self, call, action, joints, step_s):
+    result = call(action, joints, step_s)
+    if isinstance(result, Hold) or np.any(action.to_vector()[:6]):
+        return result
+    return replace(result, position=np.append(result.position[:6], 0.04))
+
+
+def of_this_thread(self, call, observation):
+    """Knows its model in the thread of `load` only."""
+    if not hasattr(LOCAL, "model"):
+        raise RuntimeError("no model in this thread")
+    return call(observation)
+
+
 def stale_after_long_pause(self, call, timeout_s):
     begun = getattr(self, "begun", time.monotonic())
     self.begun = begun
@@ -105,24 +162,58 @@ def stale_after_long_pause(self, call, timeout_s):
     )
 
 
+LOCAL = threading.local()
+TOLD: list[str] = []
+
 MUTANTS: dict[str, Mutant] = {
+    "backend_of_one_thread": one(
+        "backend",
+        load=lambda s, call: then(setattr(LOCAL, "model", 1), call()),
+        predict=of_this_thread,
+    ),
+    "backend_remembers_in_the_class": one(
+        "backend",
+        predict=lambda s, call, o: then(
+            TOLD.append(o.instruction),
+            replace(call(o), actions=call(o).actions + 1e-3 * len(TOLD) * np.eye(7)[0]),
+        ),
+    ),
+    "backend_step_of_the_clock": one(
+        "backend", predict=lambda s, call, o: replace(call(o), step_s=0.1 + 1e-3 * counted(s))
+    ),
+    "driver_writes_into_the_command": one("driver", send=clips_in_place),
+    "driver_goes_home_on_close": one("driver", close=goes_home_on_close),
+    "driver_jumps_at_the_first_command": one("driver", send=first_jump),
+    "driver_velocity_always_zero": one(
+        "driver",
+        read=lambda s, call: (
+            lambda state: replace(
+                state, joints=replace(state.joints, velocity=0 * state.joints.velocity)
+            )
+        )(call()),
+    ),
+    "controller_widens_limits": one("controller", load=widened_limits),
+    "controller_turns_about_the_base": one("controller", compute=about_the_base),
+    "controller_opens_the_gripper_when_still": one("controller", compute=opens_gripper_when_still),
+    "perception_blue_for_red": one(
+        "perception",
+        read=lambda s, call, t: (lambda f: replace(f, image=f.image[..., ::-1]))(call(t)),
+    ),
+    "perception_mirrored": one(
+        "perception",
+        read=lambda s, call, t: (lambda f: replace(f, image=f.image[:, ::-1]))(call(t)),
+    ),
+    "perception_without_a_frame": one(
+        "perception", read=lambda s, call, t: replace(call(t), frame_id="")
+    ),
     "backend_chunk_in_a_batch": one("backend", predict=batched),
     "backend_warns_each_time": one(
         "backend", predict=lambda s, call, o: then(warnings.warn("slow", stacklevel=2), call(o))
     ),
     "backend_predicts_after_close": one("backend", close=after_close),
     "backend_leaves_a_child": one("backend", load=child),
-    "backend_ignores_the_instruction": one(
-        "backend", predict=lambda s, call, o: call(replace(o, instruction=""))
-    ),
     "backend_hangs_on_the_hundredth": one(
         "backend", predict=lambda s, call, o: time.sleep(2) if counted(s) == 100 else call(o)
-    ),
-    "backend_gripper_always_shut": one(
-        "backend",
-        predict=lambda s, call, o: replace(
-            call(o), actions=call(o).actions * [1, 1, 1, 1, 1, 1, 0]
-        ),
     ),
     "backend_rows_written_later": one(
         "backend",

@@ -18,6 +18,7 @@ from rn_testing.fakes import MemoryTopics
 from rn_testing.lifecycle import Lifecycle, started
 from rn_testing.rule import NotApplicable, Rule, Violation, require
 from rn_testing.rules.clock import FUTURE_S, PAST_S, ros_clock
+from rn_testing.snapshots import snapshot
 from rn_testing.waiting import holds_within
 from roboneuron import (
     F64,
@@ -178,6 +179,21 @@ def _check_state(case: RobotCase) -> None:
         )
 
 
+def _check_state_kept(case: RobotCase) -> None:
+    arm_limits(case)
+    with opened(case) as driver:
+        first = read_state(case, driver)
+        before = snapshot(first)
+        goal = arm_position(case, driver)
+        goal[-1] += case.step if goal[-1] < arm_limits(case).upper[-1] - case.step else -case.step
+        driver.send(arm_command(case, goal))
+        holds_within(
+            lambda: bool(np.abs(arm_position(case, driver) - goal).max() <= case.tolerance),
+            case.settle_s,
+        )
+    require(snapshot(first) == before, "a state changes when the next one is read")
+
+
 def _check_stamps(case: RobotCase) -> None:
     with opened(case) as driver:
         opened_ns = ros_clock()
@@ -232,6 +248,7 @@ def _check_bad_command(case: RobotCase) -> None:
             "a position of NaN": replace(good, position=np.full_like(position, np.nan)),
             "an infinite position": replace(good, position=np.append(good.position[:-1], np.inf)),
             "fewer positions than names": replace(good, position=position[1:]),
+            "a joint named twice": replace(good, names=(*good.names[:-1], good.names[0])),
             "a duration of 0": replace(good, duration_s=0.0),
             "a negative duration": replace(good, duration_s=-1.0),
             "a duration of NaN": replace(good, duration_s=float("nan")),
@@ -295,6 +312,7 @@ RULES: tuple[Rule[RobotCase], ...] = (
         "read",
         _check_state,
     ),
+    driver_rule("state-kept", "A returned state is not changed later.", "read", _check_state_kept),
     driver_rule(
         "stamps-in-ros-time",
         "States are stamped in nanoseconds of `Topics.now_ns`, advance, and never go back.",
@@ -310,8 +328,8 @@ RULES: tuple[Rule[RobotCase], ...] = (
     ),
     driver_rule(
         "bad-command-refused",
-        "A command of unknown joints, unequal lengths, no duration or of NaN is refused and moves "
-        "nothing.",
+        "A command of unknown joints, of one named twice, unequal lengths, no duration or of NaN "
+        "is refused and moves nothing.",
         "send",
         _check_bad_command,
     ),

@@ -25,7 +25,7 @@ from rn_testing.rules.driver_motion import (
     shifted,
 )
 from rn_testing.waiting import holds_within
-from roboneuron import F64, RoboNeuronError, RobotDriver
+from roboneuron import F64, JointCommand, RoboNeuronError, RobotDriver
 
 HOLD_S = 0.3
 """Time for which the robot is watched after `hold` [s]."""
@@ -37,9 +37,24 @@ delays single ones, not all.
 """
 
 
+def _half_open(case: RobotCase, driver: RobotDriver) -> None:
+    """Bring the gripper to half of its opening: from there both directions are visible."""
+    gripper = case.profile().gripper
+    if gripper is None:
+        return
+    position = np.array([gripper.to_position(0.5)])
+    with suppress(RoboNeuronError):  # a driver may need all joints
+        driver.send(JointCommand(names=(gripper.joint,), position=position, duration_s=0.5))
+        holds_within(
+            lambda: abs((read_state(case, driver).gripper_open or 0.0) - 0.5) <= OPENING_TOLERANCE,
+            case.settle_s,
+        )
+
+
 def _check_hold(case: RobotCase) -> None:
     limits = arm_limits(case)
     with opened(case) as driver:
+        _half_open(case, driver)
         start = arm_position(case, driver)
         goal = shifted(case, start, FAR)
         duration_s = max(5.0, 4 * FAR * case.step / float(limits.velocity[-1]))
