@@ -12,10 +12,12 @@ from typing import Any
 
 import mutants_backend
 import mutants_continuing
+import mutants_controller_inputs
 import mutants_controller_rows
 import mutants_controllers
 import mutants_descriptors
 import mutants_devices
+import mutants_driver_states
 import mutants_drivers
 import mutants_engines
 import mutants_models
@@ -118,10 +120,12 @@ KINDS = {"driver": "robot", "descriptor": "backend"}
 MODULES = (
     mutants_backend,
     mutants_continuing,
+    mutants_controller_inputs,
     mutants_controller_rows,
     mutants_controllers,
     mutants_descriptors,
     mutants_devices,
+    mutants_driver_states,
     mutants_drivers,
     mutants_engines,
     mutants_models,
