@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import os
+import random
 import sys
 from collections import Counter
 from collections.abc import Callable, Generator, Iterator
@@ -22,21 +23,26 @@ from roboneuron.plugins.registry import Registry
 from roboneuron.ros.environment import prepare_environment
 from roboneuron.server.app import Application
 
-pytest_plugins = ("rn_testing.gate_fixtures",)
+pytest_plugins = ("rn_testing.isolation", "rn_testing.gate_fixtures")
 settings.register_profile(
     "busy-machine", deadline=None, suppress_health_check=[HealthCheck.too_slow]
 )
 settings.load_profile("busy-machine")
 
 
-def pytest_configure(config: pytest.Config) -> None:
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add the option that changes the order of the tests."""
+    parser.addoption(
+        "--shuffle", type=int, metavar="SEED", help="run modules, and the tests of each, shuffled"
+    )
+
+
+def pytest_configure() -> None:
     """Give this process a ROS domain of its own: what runs side by side on one machine never meets.
 
-    A worker of pytest-xdist inherits the domain of the process that distributes the tests, and so
-    would its neighbour.
+    Nor does it meet the robots of the person who starts the tests.
     """
-    if hasattr(config, "workerinput") or "ROS_DOMAIN_ID" not in os.environ:
-        os.environ["ROS_DOMAIN_ID"] = str(free_ros_domain())
+    os.environ["ROS_DOMAIN_ID"] = str(free_ros_domain())
     # A recorder beside every server would take a third of this machine; its own tests switch it on.
     os.environ["ROBONEURON_RECORDER"] = "off"
     # Images of containers often forbid compiled files. Without them each worker rewrites the
@@ -57,6 +63,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     """
     _leave_samples(items)
     config.stash[ROS_MODULES] = {item.path for item in items if item.get_closest_marker("ros")}
+    if (seed := config.getoption("shuffle")) is not None:
+        _shuffle(items, random.Random(seed))
     for item in items:
         takes_minutes = item.get_closest_marker("slow") or item.get_closest_marker("release")
         if takes_minutes and not item.get_closest_marker("timeout"):
@@ -74,6 +82,18 @@ def _leave_samples(items: list[pytest.Item]) -> None:
         if seen[test] % sampled.kwargs["every"]:
             item.add_marker(pytest.mark.exhaustive)
         seen[test] += 1
+
+
+def _shuffle(items: list[pytest.Item], source: random.Random) -> None:
+    """Shuffle modules, and the tests within each, so that fixtures of a module are made once."""
+    modules: dict[Path, list[pytest.Item]] = {}
+    for item in items:
+        modules.setdefault(item.path, []).append(item)
+    groups = list(modules.values())
+    source.shuffle(groups)
+    for group in groups:
+        source.shuffle(group)
+    items[:] = [item for group in groups for item in group]
 
 
 @pytest.hookimpl(wrapper=True)

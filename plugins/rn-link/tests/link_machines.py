@@ -29,7 +29,11 @@ def impossible() -> str:
         capture_output=True,
         check=False,
     )
-    return "" if made.returncode == 0 else "this machine makes no network namespaces"
+    return (
+        ""
+        if made.returncode == 0
+        else "this machine makes no network namespaces, or the guard forbids it (--unguarded)"
+    )
 
 
 class Talker:
