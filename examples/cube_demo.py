@@ -11,6 +11,7 @@ from pathlib import Path
 from rn_standard.console.client import spawned_server
 from rn_standard.demo.agent import DemoAgent
 from rn_standard.demo.film import DemoFilm
+from rn_standard.demo.pace import MachinePace, run_paced
 from roboneuron import RoboNeuronError
 
 Play = Callable[[DemoAgent, str, DemoFilm], Awaitable[bool]]
@@ -19,7 +20,7 @@ succeeded.
 """
 
 
-async def run_demo(
+def run_demo(
     description: str, *, robot: str, config: Path, task: str, colours: Sequence[str], play: Play
 ) -> int:
     """Read the command line, start a server with a scene, play, and save the film.
@@ -33,7 +34,7 @@ async def run_demo(
         play: the demonstration.
 
     Returns:
-        The exit status: 0 for success.
+        The exit status, see `run_paced`.
     """
     parser = argparse.ArgumentParser(description=description)
     parser.add_argument("--seed", type=int, default=None, help="of the scene; default: a new one")
@@ -46,17 +47,21 @@ async def run_demo(
     text = config.read_text(encoding="utf-8")
     copy.write_text(f"{text}\n[plugins.{robot}]\nseed = {seed}\n", encoding="utf-8")
     print(f"scene {seed}: {task.format(colour=chosen.colour)}", flush=True)
-    film = DemoFilm()
-    async with spawned_server(["--config", str(copy)], chosen.output / "server.log") as client:
-        agent = DemoAgent(client)
-        try:
-            for tool in ("start_robot", "start_perception", "start_control"):
-                await agent.call(tool)
-                print(f"  {tool}", flush=True)
-            succeeded = await play(agent, chosen.colour, film)
-        finally:
-            with suppress(RoboNeuronError):  # the server ends next, with everything that still runs
-                await agent.call("stop_all")
-    strip, gif = film.save(chosen.output)
-    print(f"  film strip  {strip}\n  film  {gif}")
-    return 0 if succeeded else 1
+
+    async def run(pace: MachinePace) -> bool:
+        film = DemoFilm()
+        async with spawned_server(["--config", str(copy)], chosen.output / "server.log") as client:
+            agent = DemoAgent(client, pace)
+            try:
+                for tool in ("start_robot", "start_perception", "start_control"):
+                    await agent.call(tool)
+                    print(f"  {tool}", flush=True)
+                succeeded = await play(agent, chosen.colour, film)
+            finally:
+                with suppress(RoboNeuronError):  # the server ends next, with everything in it
+                    await agent.call("stop_all")
+        strip, gif = film.save(chosen.output)
+        print(f"  film strip  {strip}\n  film  {gif}")
+        return succeeded
+
+    return run_paced(run)

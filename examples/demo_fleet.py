@@ -40,6 +40,7 @@ from rn_robot_bases.platform import PLATFORMS
 from rn_simulation.planar_motion import PlanarPose
 from rn_standard.console.client import leaves_of, spawned_server
 from rn_standard.demo.agent import DemoAgent, module_status, simulated_objects
+from rn_standard.demo.pace import MachinePace, run_paced
 from rn_standard.demo.screen import HOLD_GOAL_S, LIFT_GOAL_M, DemoScreen
 from roboneuron import RoboNeuronError
 
@@ -331,7 +332,9 @@ def print_tables(console: Console, works: Sequence[Work]) -> None:
     )
 
 
-async def play(seed: int, colours: Mapping[str, str], output: Path, console: Console) -> bool:
+async def play(
+    seed: int, colours: Mapping[str, str], output: Path, console: Console, pace: MachinePace
+) -> bool:
     """Run the demo; return whether every judge says yes."""
     output.mkdir(parents=True, exist_ok=True)
     screen = DemoScreen(console)
@@ -344,7 +347,7 @@ async def play(seed: int, colours: Mapping[str, str], output: Path, console: Con
     path, log = write_configuration(output, seed), output / "server.log"
     with anyio.fail_after(WHOLE_S):
         async with spawned_server(["--config", str(path)], log) as client:
-            demo = Demo(DemoAgent(client), screen, colours)
+            demo = Demo(DemoAgent(client, pace), screen, colours)
             with screen.step("connect to the MCP server") as told:
                 tools = await DemoAgent(client).tools()
                 told.append(f"{len(tools)} typed tools for {len(demo.works)} robots")
@@ -380,14 +383,15 @@ def main() -> int:
     chosen = parser.parse_args()
     seed = random.SystemRandom().randrange(10_000) if chosen.seed is None else chosen.seed
     colours = {"left": chosen.left, "right": chosen.right}
-    worked = False
+    status = 1
     try:
-        worked = anyio.run(play, seed, colours, chosen.output, Console(highlight=False))
+        console = Console(highlight=False)
+        status = run_paced(lambda pace: play(seed, colours, chosen.output, console, pace))
     except* RoboNeuronError as group:
         print(*(f"demo-fleet: {error}" for error in leaves_of(group)), sep="\n", file=sys.stderr)
     except* TimeoutError:
         print(f"demo-fleet: it was not over after {WHOLE_S:g} s.", file=sys.stderr)
-    return 0 if worked else 1
+    return status
 
 
 if __name__ == "__main__":

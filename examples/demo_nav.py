@@ -33,6 +33,7 @@ from rich.table import Table
 from rn_simulation.planar_motion import PlanarPose
 from rn_standard.console.client import leaves_of, spawned_server
 from rn_standard.demo.agent import DemoAgent, simulated_objects
+from rn_standard.demo.pace import MachinePace, run_paced
 from rn_standard.demo.screen import HOLD_GOAL_S, DemoScreen
 from roboneuron import NotReadyError, RoboNeuronError
 
@@ -87,7 +88,7 @@ def navigator(output: Path) -> Iterator[None]:
     ):
         try:
             assert process.stdout is not None
-            if not process.stdout.readline():
+            if not any("is offered" in line for line in process.stdout):
                 raise NotReadyError(f"The navigator did not start; see {log.name}.")
             yield
         finally:
@@ -173,7 +174,7 @@ class Demo:
         return all(verdicts.values())
 
 
-async def play(seed: int, colour: str, output: Path, console: Console) -> bool:
+async def play(seed: int, colour: str, output: Path, console: Console, pace: MachinePace) -> bool:
     """Run the demo; return whether every judge says yes."""
     screen = DemoScreen(console)
     text = (HERE / "demo_nav.toml").read_text(encoding="utf-8")
@@ -185,7 +186,7 @@ async def play(seed: int, colour: str, output: Path, console: Console) -> bool:
     begun_s = time.monotonic()
     with anyio.fail_after(WHOLE_S):
         async with spawned_server(["--config", str(path)], output / "server.log") as client:
-            demo = Demo(DemoAgent(client), screen, colour)
+            demo = Demo(DemoAgent(client, pace), screen, colour)
             for step, act in (
                 ("start the base", demo.start_base),
                 ("ask for a place on the stairs", demo.ask_for_the_zone),
@@ -208,17 +209,18 @@ def main() -> int:
     parser.add_argument("--output", type=Path, default=Path("out/demo-nav"))
     chosen = parser.parse_args()
     chosen.output.mkdir(parents=True, exist_ok=True)
-    worked = False
+    status = 1
     try:
+        console = Console(highlight=False)
         with navigator(chosen.output):
-            worked = anyio.run(
-                play, chosen.seed, chosen.colour, chosen.output, Console(highlight=False)
+            status = run_paced(
+                lambda pace: play(chosen.seed, chosen.colour, chosen.output, console, pace)
             )
     except* RoboNeuronError as group:
         print(*(f"demo-nav: {error}" for error in leaves_of(group)), sep="\n", file=sys.stderr)
     except* TimeoutError:
         print(f"demo-nav: it was not over after {WHOLE_S:g} s.", file=sys.stderr)
-    return 0 if worked else 1
+    return status
 
 
 if __name__ == "__main__":

@@ -9,7 +9,6 @@ Exit status 0 means that it holds. Film strip, GIF and the server's log go to `o
 
 from __future__ import annotations
 
-import functools
 import json
 import sys
 import time
@@ -66,8 +65,7 @@ async def play(agent: DemoAgent, colour: str, film: DemoFilm) -> bool:
 
 
 if __name__ == "__main__":
-    demo = functools.partial(
-        run_demo,
+    status = run_demo(
         __doc__ or "",
         robot="fr3-pair",
         config=CONFIG,
@@ -75,4 +73,4 @@ if __name__ == "__main__":
         colours=COLOURS,
         play=play,
     )
-    sys.exit(anyio.run(demo))
+    sys.exit(status)

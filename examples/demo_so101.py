@@ -8,7 +8,6 @@ the server's log go to `out/demo-so101/`.
 
 from __future__ import annotations
 
-import functools
 import json
 import sys
 import time
@@ -52,8 +51,7 @@ async def play(agent: DemoAgent, colour: str, film: DemoFilm) -> bool:
 
 
 if __name__ == "__main__":
-    demo = functools.partial(
-        run_demo,
+    status = run_demo(
         __doc__ or "",
         robot="so101",
         config=CONFIG,
@@ -61,4 +59,4 @@ if __name__ == "__main__":
         colours=COLOURS,
         play=play,
     )
-    sys.exit(anyio.run(demo))
+    sys.exit(status)

@@ -34,6 +34,9 @@ from rn_robot_bases.paths import PATHS, Segment, planned_track
 from rn_robot_bases.picture import draw_track
 from rn_robot_bases.platform import PLATFORMS
 from rn_simulation.planar_motion import PlanarPose
+from rn_standard.console.client import leaves_of
+from rn_standard.demo.pace import MachinePace, run_paced
+from roboneuron import NotReadyError, RoboNeuronError
 
 HERE = Path(__file__).parent
 LOOK_PERIOD_S = 0.2
@@ -55,10 +58,10 @@ async def call(
 
 
 async def must(client: Client, tool: str, arguments: Mapping[str, Any]) -> dict[str, Any]:
-    """Call a tool that must succeed."""
+    """Call a tool that must succeed. Raises NotReadyError with its text."""
     succeeded, answer, text = await call(client, tool, arguments)
     if not succeeded:
-        sys.exit(f"{tool}: {text}")
+        raise NotReadyError(f"{tool}: {text}")
     return answer
 
 
@@ -103,13 +106,13 @@ async def check_refusal(client: Client, robot: str, console: Console) -> None:
         client, "publish_velocity", {"robot": robot, "message": IMPOSSIBLE[robot]}
     )
     if succeeded:
-        sys.exit(f"{robot} took a velocity it cannot follow: {IMPOSSIBLE[robot]}")
+        raise NotReadyError(f"{robot} took a velocity it cannot follow: {IMPOSSIBLE[robot]}")
     console.print(
         f"  [bold]{robot}[/] refuses {IMPOSSIBLE[robot]}: [dim]{reason.splitlines()[0]}[/]"
     )
 
 
-async def drive(client: Client, robot: str, made: Drive) -> None:
+async def drive(client: Client, robot: str, made: Drive, pace: MachinePace) -> None:
     """Drive one base along its path."""
     path = PATHS[robot]
     track = made.track
@@ -129,6 +132,7 @@ async def drive(client: Client, robot: str, made: Drive) -> None:
         made.ended_s = time.monotonic()
         await anyio.sleep(1.5)  # the base slows down at its own acceleration
         done.set()
+    pace.note(await must(client, "get_status", {"robot": robot}))
     end, goal = await locate(client, robot), planned_track(PLATFORMS[robot], path.segments)[-1]
     await must(client, "stop_robot", {"robot": robot})
     off_m = math.hypot(end.x_m - goal.x_m, end.y_m - goal.y_m)
@@ -144,7 +148,7 @@ async def drive(client: Client, robot: str, made: Drive) -> None:
     ]
 
 
-async def play(output: Path, console: Console) -> bool:
+async def play(output: Path, console: Console, pace: MachinePace) -> bool:
     """Drive all three bases at once, with one server."""
     output.mkdir(parents=True, exist_ok=True)
     server = StdioServerParameters(
@@ -167,7 +171,7 @@ async def play(output: Path, console: Console) -> bool:
             with console.status("all three drive …"):
                 async with anyio.create_task_group() as tasks:
                     for robot, made in drives.items():
-                        tasks.start_soon(drive, client, robot, made)
+                        tasks.start_soon(drive, client, robot, made, pace)
     pictures = [
         draw_track(PLATFORMS[robot], made.track, width=480, height=320)
         for robot, made in drives.items()
@@ -190,7 +194,12 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n")[0])
     parser.add_argument("--output", type=Path, default=Path("out/demo-bases"))
     arguments = parser.parse_args()
-    return 0 if anyio.run(play, arguments.output, Console()) else 1
+    status = 1
+    try:
+        status = run_paced(lambda pace: play(arguments.output, Console(), pace))
+    except* RoboNeuronError as group:
+        print(*leaves_of(group), sep="\n", file=sys.stderr)
+    return status
 
 
 if __name__ == "__main__":

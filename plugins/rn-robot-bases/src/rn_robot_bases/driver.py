@@ -84,6 +84,7 @@ class SimulatedBase:
         )
         self._newest = None
         self._refusal, self._refusals = "", 0
+        self._factor = 0.0
         if self._publish is None:
             self._publish = self._topics.advertise(ODOMETRY, Odometry)
             self._tell_truth = self._topics.advertise(TRUE_POSE_TOPIC, Odometry)
@@ -95,7 +96,8 @@ class SimulatedBase:
 
         `detail` contains "odometry" (JSON: x_m, y_m, yaw_rad), "true_pose" in the same form if
         `rn_simulation.ground_truth.SWITCH` is on, "motion" (driving, standing, or stopping with the
-        reason), "sim_time_s", "engine", and "refused" and "refused_count" of velocity commands.
+        reason), "sim_time_s", "real_time_factor" (achieved during the last second), "engine", and
+        "refused" and "refused_count" of velocity commands.
 
         Raises:
             StateError: not open.
@@ -118,6 +120,7 @@ class SimulatedBase:
                 "motion": state.motion,
                 "engine": simulation.engine,
                 "sim_time_s": f"{state.time_s:.3f}",
+                "real_time_factor": f"{self._factor:.3f}",
                 "refused": self._refusal,
                 "refused_count": str(self._refusals),
                 **({"true_pose": state.true_pose.described()} if is_told() else {}),
@@ -166,6 +169,7 @@ class SimulatedBase:
     def _advance(self, steps: int, factor: float, publish: bool) -> None:
         simulation = self._simulation
         assert simulation is not None
+        self._factor = factor
         with self._time.stepping:
             simulation.step(steps)
             state = simulation.state()

@@ -13,6 +13,7 @@ from typing import Any
 from mcp import Client
 from mcp.types import ImageContent, TextContent
 
+from rn_standard.demo.pace import MachinePace
 from roboneuron import NotReadyError
 
 _CALL_TIMEOUT_S = 180.0
@@ -34,10 +35,16 @@ class DemoObject:
 
 
 class DemoAgent:
-    """Calls tools and converts MCP errors to exceptions."""
+    """Calls tools and converts MCP errors to exceptions.
 
-    def __init__(self, client: Client) -> None:
+    Args:
+        client: of the server.
+        pace: given each answer of `get_status`.
+    """
+
+    def __init__(self, client: Client, pace: MachinePace | None = None) -> None:
         self._client = client
+        self._pace = pace
 
     async def tools(self) -> list[str]:
         """Names of the offered tools."""
@@ -57,7 +64,10 @@ class DemoAgent:
         if result.is_error:
             texts = [part.text for part in result.content if isinstance(part, TextContent)]
             raise NotReadyError(f"{tool}: {' '.join(texts)}")
-        return dict(result.structured_content or {})
+        answer = dict(result.structured_content or {})
+        if self._pace is not None and tool == "get_status":
+            self._pace.note(answer)
+        return answer
 
     async def image(self, camera: str, robot: str | None = None) -> bytes:
         """The newest image of a camera, encoded; of the named robot if there are several."""

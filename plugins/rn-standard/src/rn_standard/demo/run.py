@@ -15,6 +15,7 @@ from rich.console import Console
 from rn_standard.console.client import spawned_server
 from rn_standard.demo.agent import DemoAgent, DemoObject, module_status, simulated_objects
 from rn_standard.demo.film import DemoFilm
+from rn_standard.demo.pace import MachinePace
 from rn_standard.demo.screen import HOLD_GOAL_S, LIFT_GOAL_M, DemoScreen
 from roboneuron import ConfigurationError, NotReadyError, RoboNeuronError
 from roboneuron.command import load_config, reading
@@ -102,7 +103,7 @@ def options_quote(text: str) -> str:
     return f"“{text}”"
 
 
-async def run_demo(options: DemoOptions, console: Console) -> bool:
+async def run_demo(options: DemoOptions, console: Console, pace: MachinePace) -> bool:
     """Run the demo; return True if the named object was lifted and held according to the
     simulator.
     """
@@ -113,7 +114,7 @@ async def run_demo(options: DemoOptions, console: Console) -> bool:
     log_path = options.output / "server.log"
     film = DemoFilm()
     async with spawned_server(["--config", str(path)], log_path) as client:
-        agent = DemoAgent(client)
+        agent = DemoAgent(client, pace)
         try:
             success = await _play(agent, options, screen, film)
         finally:
