@@ -34,6 +34,8 @@ from roboneuron.server.host import Host
 from roboneuron.server.tool import LOCAL_AGENT
 
 CELL = """
+[preview]
+limit_s = 60.0
 [http]
 lease_s = 60.0
 [places.front]

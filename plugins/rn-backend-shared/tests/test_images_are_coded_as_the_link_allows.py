@@ -168,6 +168,13 @@ class Far:
         return ActionChunk(actions=rows, step_s=0.1, metrics={"shared.link_ms": link_ms})
 
 
+@pytest.fixture
+def even_clock(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Encoding and decoding take a millisecond each, however busy this machine is."""
+    looks = itertools.count()
+    monkeypatch.setattr("rn_backend_shared.coding.time.monotonic", lambda: 1e-3 * next(looks))
+
+
 def coder(**options: Any) -> Coder:
     return Coder(SharedOptions(address="gpu:1", **options), {}, 0.001)
 
@@ -206,12 +213,7 @@ def test_small_images_that_take_one_round_trip_make_no_room_for_large_ones() -> 
     assert meter.current == "jpeg"
 
 
-def test_one_hiccup_changes_nothing_and_a_slower_link_does(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    # encoding and decoding take a millisecond each, however busy this machine is
-    looks = itertools.count()
-    monkeypatch.setattr("rn_backend_shared.coding.time.monotonic", lambda: 1e-3 * next(looks))
+def test_one_hiccup_changes_nothing_and_a_slower_link_does(even_clock: None) -> None:
     far, one = Far(1000 * MBIT), coder()
     for _ in range(3):
         ask(one, far)
@@ -250,7 +252,7 @@ def test_a_larger_coding_is_tried_now_and_then_where_no_deadline_is_at_risk() ->
     assert meter.probe(CODINGS, 0.375) == "raw"
 
 
-def test_parity_is_measured_before_the_first_action_and_told() -> None:
+def test_parity_is_measured_before_the_first_action_and_told(even_clock: None) -> None:
     far, one = Far(5 * MBIT, gain=1e-4), coder(coding="jpeg", quality=30)
     chunk = ask(one, far)
     assert [coding for coding, *_ in far.asked] == ["png", "png", "jpeg", "jpeg"]
@@ -261,7 +263,7 @@ def test_parity_is_measured_before_the_first_action_and_told() -> None:
     assert len(far.asked) == 5
 
 
-def test_coding_that_moves_actions_too_far_is_refused() -> None:
+def test_coding_that_moves_actions_too_far_is_refused(even_clock: None) -> None:
     far = Far(5 * MBIT, gain=1e-2)
     with pytest.raises(ConfigurationError, match=r"parity_m = 0\.002"):
         ask(coder(coding="jpeg", quality=30), far)

@@ -9,7 +9,7 @@ import socket
 import ssl
 import threading
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -72,12 +72,22 @@ def on_a_loop(main: Any) -> Iterator[None]:
     loop, ended = asyncio.new_event_loop(), asyncio.Event()
     errors: list[BaseException] = []
 
+    async def settle() -> None:
+        """Let the loop close what was aborted, and end what still runs."""
+        others = asyncio.all_tasks() - {asyncio.current_task()}
+        for task in others:
+            task.cancel()
+        await asyncio.gather(*others, return_exceptions=True)
+        for _ in range(10):  # an abort of TLS takes several turns of the loop
+            await asyncio.sleep(0)
+
     def run() -> None:
         try:
             loop.run_until_complete(main(ended))
         except Exception as error:
             errors.append(error)
         finally:
+            loop.run_until_complete(settle())
             loop.close()
 
     thread = threading.Thread(target=run)
@@ -111,16 +121,18 @@ def member(robot: Place, folder: Path, name: str) -> Iterator[None]:
     async def serve(ended: asyncio.Event) -> None:
         async def take(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
             writers.append(writer)
-            while await reader.read(1000):
-                writer.write(bytes(16))  # a heartbeat
+            with suppress(OSError):  # the hub ends it within the handshake, too
+                # only here, so that a connection within its handshake is known and ended as well
+                await writer.start_tls(context)
+                while await reader.read(1000):
+                    writer.write(bytes(16))  # a heartbeat
 
         writers: list[asyncio.StreamWriter] = []
-        server = await asyncio.start_server(take, "127.0.0.1", port, ssl=context)
+        server = await asyncio.start_server(take, "127.0.0.1", port)
         await ended.wait()
         server.close()
         for writer in writers:
             writer.transport.abort()
-        await asyncio.sleep(0)
 
     with on_a_loop(serve):
         yield
