@@ -61,7 +61,7 @@ def rows(project: Path) -> list[dict[str, Any]]:
 
 def test_a_test_that_fails_sometimes_is_counted_by_condition(project: Path) -> None:
     write(project, waiting=WAITING, quiet=QUIET)
-    code, said = flakes(project, "--alone", "4", "--others", "1", "--busy", "0", "1")
+    code, said = flakes(project, "--alone", "4", "--others", "1", "--busy", "0,1")
     assert code == 1
     name = "tests/test_waiting.py::test_fails_every_second_time"
     found = rows(project)

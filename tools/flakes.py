@@ -31,6 +31,11 @@ TRIAL_S = 1500.0
 """Longest duration of one trial."""
 
 
+def numbers(text: str) -> tuple[int, ...]:
+    """Parse numbers that are separated by commas. Raises ValueError if they are none."""
+    return tuple(int(part) for part in text.split(","))
+
+
 def parse(arguments: Sequence[str]) -> argparse.Namespace:
     """Parse the command line."""
     parser = argparse.ArgumentParser(
@@ -43,10 +48,12 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("--minutes", type=float, default=60.0, help="begin no trial after that")
     parser.add_argument("--alone", type=int, default=50, help="runs of each file that waits")
     parser.add_argument("--others", type=int, default=5, help="runs of the rest, together")
-    cores = str(os.cpu_count() or 1)
-    parser.add_argument("--busy", type=int, nargs="+", default=[0, int(cores)], help="busy loops")
-    parser.add_argument("--workers", type=int, nargs="+", default=[1, 8])
-    parser.add_argument("--python", nargs="+", default=[sys.executable], help="interpreters")
+    cores = os.cpu_count() or 1
+    parser.add_argument("--busy", type=numbers, default=(0, cores), help="busy loops: 0,2")
+    parser.add_argument("--workers", type=numbers, default=(1, 8), help="of pytest-xdist: 1,8")
+    parser.add_argument(
+        "--python", type=lambda text: text.split(","), default=[sys.executable], help="PATH,PATH"
+    )
     parser.add_argument("--report", action="store_true", help="run nothing, print the ledger")
     parser.add_argument("--commit", default="", help="print the rows of this commit only")
     return parser.parse_args(arguments)
