@@ -214,7 +214,7 @@ def test_bad_joints_cannot_be_inspected() -> None:
     ("shape", "words"),
     [
         ("", "no two links"),
-        ('<collision><geometry><mesh filename="x.stl"/></geometry></collision>', "meshes"),
+        ('<collision><geometry><mesh filename="x.stl"/></geometry></collision>', "has no file"),
     ],
 )
 def test_collision_without_usable_shapes_is_refused(shape: str, words: str) -> None:

@@ -58,6 +58,7 @@ from .contract import (
     check_rgb8 as check_rgb8,
     frame_from_buffer as frame_from_buffer,
     joint_kinds as joint_kinds,
+    mesh_file as mesh_file,
     robot_space as robot_space,
 )
 from .contract.arrays import (

@@ -90,11 +90,8 @@ class InverseKinematics:
         jacobian: F64 = pin.getFrameJacobian(
             model.kinematics, self._data, model.tcp_frame, self._local
         )
-        if model.coupling is not None:
-            jacobian = jacobian @ model.coupling[0]
-        return float(
-            np.linalg.svd(jacobian if track_rotation else jacobian[:3], compute_uv=False)[-1]
-        )
+        rows = self._rows(jacobian, track_rotation)
+        return float(np.linalg.svd(rows, compute_uv=False)[-1])
 
     def shift(self, pose: pinocchio.SE3, translation_m: F64, rotation_rad: F64) -> pinocchio.SE3:
         """Pose after a delta in the base frame: p' = p + d, R' = exp(r) R, like
@@ -167,8 +164,14 @@ class InverseKinematics:
         jacobian: F64 = self._pin.getFrameJacobian(
             model.kinematics, self._data, model.tcp_frame, self._local
         )
-        if model.coupling is not None:
-            jacobian = jacobian @ model.coupling[0]
+        return self._rows(jacobian, track_rotation)
+
+    def _rows(self, jacobian: F64, track_rotation: bool) -> F64:
+        """Rows (k, n) of the arm joints of a Jacobian of the chain's."""
+        if jacobian.ndim == 1:  # of one joint
+            jacobian = jacobian[:, np.newaxis]
+        if self._model.coupling is not None:
+            jacobian = jacobian @ self._model.coupling[0]
         return jacobian if track_rotation else jacobian[:3]
 
     def _step(self, q: F64, error: F64, jacobian: F64) -> F64:

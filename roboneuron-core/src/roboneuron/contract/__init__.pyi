@@ -25,6 +25,10 @@ from .joints import (
     nearest_turn as nearest_turn,
     urdf_joints as urdf_joints,
 )
+from .meshes import (
+    collision_meshes as collision_meshes,
+    mesh_file as mesh_file,
+)
 from .motion import (
     STATE_STEP_S as STATE_STEP_S,
     Hold as Hold,

@@ -125,14 +125,21 @@ class JointKinds:
 
     def rest(self, joint: str) -> float:
         """Position of a joint that is not measured: 0, or the limit nearest to it [rad or m]."""
-        if joint in self.continuous:
-            return 0.0
-        return min(max(0.0, self._limit(joint, "lower")), self._limit(joint, "upper"))
+        lower, upper = self.limits(joint)
+        return min(max(0.0, lower), upper)
 
     def farthest(self, joint: str) -> float:
         """Largest distance of a prismatic joint from its zero [m]; 1 m without limits."""
-        ends = abs(self._limit(joint, "lower")), abs(self._limit(joint, "upper"))
+        ends = map(abs, self.limits(joint))
         return max(end if math.isfinite(end) else 1.0 for end in ends)
+
+    def limits(self, joint: str) -> tuple[float, float]:
+        """Position limits of the description [rad or m]; infinite where it has none, and for a
+        continuous joint.
+        """
+        if joint in self.continuous:
+            return -math.inf, math.inf
+        return self._limit(joint, "lower"), self._limit(joint, "upper")
 
     def _limit(self, joint: str, side: str) -> float:
         default = -math.inf if side == "lower" else math.inf

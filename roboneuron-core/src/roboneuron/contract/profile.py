@@ -231,6 +231,9 @@ class RobotProfile:
         arms: the arms of a robot with several. Then `tcp_link` and `gripper` are those of the
             first, `base_link` is a link that carries them all, and poses, workspace, zones and
             obstacles of each arm are in its frame. () for a robot with one arm: see `each_arm`.
+        mesh_folder: folder of the description, at which the paths of its meshes start and in which
+            (and above) packages are looked for. Empty: absolute paths and the packages of the
+            sourced ROS installation only.
         own_topics: topics in its namespace that its drivers and simulations publish, besides those
             of the contract and the read `endpoints`; agents may not publish them.
     """
@@ -248,6 +251,7 @@ class RobotProfile:
     collision: CollisionProfile | None = None
     endpoints: tuple[Endpoint, ...] = ()
     own_topics: tuple[str, ...] = ()
+    mesh_folder: str = ""
     arms: tuple[ArmProfile, ...] = ()
 
     def __post_init__(self) -> None:

@@ -1,0 +1,99 @@
+"""Convex hulls of meshes, as collision shapes whose distances take microseconds."""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ET
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roboneuron import ConfigurationError, RobotProfile, mesh_file
+
+if TYPE_CHECKING:
+    import pinocchio
+
+MOST_VERTICES = 512
+"""Bounds the time of one distance; hulls of links of public arms lack 1 to 3 mm with it."""
+
+
+def resolve_meshes(root: ET.Element, profile: RobotProfile) -> None:
+    """Write the file of each mesh among the collision shapes into a description.
+
+    Raises:
+        ConfigurationError: names the files that are missing.
+    """
+    missing: list[str] = []
+    for mesh in (mesh for shape in root.iter("collision") for mesh in shape.iter("mesh")):
+        name = mesh.get("filename", "")
+        path = mesh_file(name, profile.mesh_folder)
+        if path is None:
+            missing.append(name)
+        else:
+            mesh.set("filename", str(path))
+    if missing:
+        raise missing_meshes(profile, missing)
+
+
+def missing_meshes(profile: RobotProfile, missing: list[str]) -> ConfigurationError:
+    """The error for meshes without a file."""
+    more = f" and {len(set(missing)) - 1} more" if len(set(missing)) > 1 else ""
+    return ConfigurationError(
+        f"Robot {profile.name!r}: the mesh {missing[0]!r}{more} of its collision shapes has no "
+        "file.",
+        hint="Set mesh_folder of its profile to the folder of the description, or source the ROS "
+        "package.",
+    )
+
+
+def replace_meshes(shapes: pinocchio.GeometryModel) -> bool:
+    """Replace every mesh of a geometry model by a hull that contains it; returns whether there are
+    any. A flat mesh, which has no hull, stays.
+    """
+    import coal  # type: ignore[import-untyped]  # heavy; comes with pinocchio
+
+    has_meshes = False
+    for shape in shapes.geometryObjects:
+        if not isinstance(shape.geometry, coal.BVHModelBase):
+            continue
+        has_meshes = True
+        try:
+            shape.geometry.buildConvexHull(False, "Qt")
+        except RuntimeError:  # qhull: its points lie in a plane
+            continue
+        shape.geometry = _bounded(shape.geometry.convex)
+    return has_meshes
+
+
+def _bounded(hull: Any) -> Any:
+    """A hull of at most `MOST_VERTICES` vertices around `hull`: that of its farthest ones in evenly
+    spread directions, thickened by what it lacks.
+    """
+    import coal  # heavy
+
+    points: NDArray[np.float64] = np.array(hull.points())
+    if len(points) <= MOST_VERTICES:
+        return hull
+    chosen = np.unique(np.argmax(points @ _directions(MOST_VERTICES).T, axis=0))
+    kept = coal.StdVec_Vec3s()
+    for point in points[chosen]:
+        kept.append(point)
+    small = coal.Convex.convexHull(kept, False, "Qt")
+    here, there, tip = coal.Transform3s(), coal.Transform3s(), coal.Sphere(1e-9)
+    lacking_m = 0.0
+    for point in np.delete(points, chosen, axis=0):
+        there.setTranslation(point)
+        found = coal.DistanceResult()
+        coal.distance(small, here, tip, there, coal.DistanceRequest(), found)
+        lacking_m = max(lacking_m, found.min_distance)
+    small.setSweptSphereRadius(lacking_m + 1e-6)
+    return small
+
+
+def _directions(count: int) -> NDArray[np.float64]:
+    """Unit vectors (count, 3), evenly spread. Source: the Fibonacci lattice on a sphere."""
+    rank = np.arange(count) + 0.5
+    height, turn = 1.0 - 2.0 * rank / count, rank * math.pi * (1.0 + math.sqrt(5.0))
+    width = np.sqrt(1.0 - height**2)
+    return np.stack([width * np.cos(turn), width * np.sin(turn), height], axis=1)
