@@ -23,7 +23,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -108,7 +108,7 @@ def lose(process: int, way: str) -> None:
 
 
 def trial(
-    cell: Cell, motion: str, kind: str, way: str, joint: str, other: Cell | None = None
+    cell: Cell, motion: str, kind: str, way: str, joint: str, others: Sequence[Any] = ()
 ) -> dict[str, Any]:
     """One motion and its loss."""
     problems: list[str] = []
@@ -164,8 +164,8 @@ def trial(
     result["moved_rad"] = round(moved_rad, 4)
     if moved_rad > MOVED_RAD:
         problems.append(f"moved by {moved_rad:.3f} rad afterwards")
-    if other is not None and not other.witness.moves():
-        problems.append("the other robot's task ended too")
+    if others and "'outcome': 'stopped'" in str(others[-1].structured_content):
+        problems.append(f"the other robot's task was stopped: {others[-1].content}"[:300])
     thread.join(10.0)
     return result
 
@@ -240,6 +240,11 @@ def main() -> int:
     ]
     with served(arguments.folder / arguments.cell, arguments.cell) as (cell, other):
         cell.run(*KINDS)
+        others: list[Any] = []
+
+        def task_beside(robot: Cell) -> None:
+            others.append(run_task(robot, joint))
+
         if arguments.quiet_trials:
             with loaded(arguments.load):
                 ended = quiet(cell, joint, arguments.quiet_trials)
@@ -249,9 +254,9 @@ def main() -> int:
             if other is not None:
                 other.run(*KINDS)
                 if not other.witness.moves():
-                    threading.Thread(target=run_task, args=(other, joint), daemon=True).start()
+                    threading.Thread(target=task_beside, args=(other,), daemon=True).start()
             with loaded(arguments.load):
-                result = trial(cell, motion, kind, way, joint, other)
+                result = trial(cell, motion, kind, way, joint, others)
             known.append(result)
             with ledger.open("a") as file:
                 file.write(json.dumps(result) + "\n")

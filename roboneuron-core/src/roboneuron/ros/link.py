@@ -19,12 +19,12 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.qos import QoSProfile
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.task import Future
 
 from roboneuron.errors import InternalError
 from roboneuron.ros.executor import TolerantExecutor, created
-from roboneuron.ros.qos import requested_qos, usual_qos
+from roboneuron.ros.qos import is_large, large_qos, requested_qos, usual_qos
 
 log = logging.getLogger(__name__)
 M = TypeVar("M")
@@ -182,15 +182,15 @@ class RosLink:
         *,
         latched: bool = True,
     ) -> Callable[[], None]:
-        """Like `subscribe`, with the reliability of the present publishers; if `latched`, also
-        receive the last message, if all publishers keep it.
+        """Like `subscribe`, with the reliability of the present publishers, but best effort for
+        large messages (see `large_qos`); if `latched`, also receive the last message, if all
+        publishers keep it.
         """
-        return self.subscribe(
-            message_type,
-            topic,
-            callback,
-            requested_qos(self.node.get_publishers_info_by_topic(topic), depth, latched=latched),
-        )
+        publishers = self.node.get_publishers_info_by_topic(topic)
+        qos = requested_qos(publishers, depth, latched=latched)
+        if is_large(message_type) and qos.durability != DurabilityPolicy.TRANSIENT_LOCAL:
+            qos = large_qos(depth)
+        return self.subscribe(message_type, topic, callback, qos)
 
     def subscribe(
         self,

@@ -32,6 +32,11 @@ STOP_REQUESTS = (LATCHED, NEWEST)
 subscription never matches a volatile publisher, such as `ros2 topic pub`.
 """
 
+LARGE_TYPES = frozenset(
+    {"sensor_msgs/Image", "sensor_msgs/CompressedImage", "sensor_msgs/PointCloud2"}
+)
+"""Types whose messages are sent in fragments."""
+
 STATUS = _reliable(20)
 """/diagnostics: several modules write to one topic."""
 
@@ -39,6 +44,27 @@ STATUS = _reliable(20)
 def usual_qos(topic: str) -> QoSProfile:
     """Return the profile of a contract stream, by the name of its topic."""
     return STATUS if topic == DIAGNOSTICS else NEWEST
+
+
+def is_large(message_type: type) -> bool:
+    """True for a rosidl class of one of `LARGE_TYPES`."""
+    package = message_type.__module__.partition(".")[0]
+    return f"{package}/{message_type.__name__}" in LARGE_TYPES
+
+
+def large_qos(depth: int) -> QoSProfile:
+    """Return the profile for `LARGE_TYPES` in a process whose subscriptions come and go.
+
+    A reliable one that joins beside another can hang the process: Fast DDS 2.14 lets a GAP remove a
+    sample of which only some fragments have come from one of its two lists, and `take` then tries
+    for ever to read it, with the interpreter's lock held. Best-effort readers ignore GAPs.
+
+    Source: Fast DDS 2.14.5, StatefulReader::processGapMsg, DataReaderHistory::remove_change_sub,
+    StatelessReader::processDataFragMsg; benchmarks/image_hangs.py.
+    """
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST, depth=depth, reliability=ReliabilityPolicy.BEST_EFFORT
+    )
 
 
 def requested_qos(publishers: Sequence[Any], depth: int, *, latched: bool = True) -> QoSProfile:
