@@ -115,9 +115,10 @@ test-release: $(VENV)/.develop ## every package as a wheel: what it holds, and w
 test-pythons: ## demo and bases on each of PYTHONS, in a fresh environment: what a new user gets
 	$(PYTHON) tests/pythons/check.py $(PYTHONS)
 
-check: $(VENV)/.develop ## lint, format and types
+check: $(VENV)/.develop ## lint, format, declared dependencies and types
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/python tools/dependencies.py
 	$(BIN)/mypy $(SOURCES)
 	$(BIN)/mypy --allow-subclassing-any plugins/lerobot-robot-roboneuron/src
 	MYPYPATH=benchmarks:tools:plugins/rn-view/tests:plugins/rn-link/tests:plugins/rn-backend-shared/tests:examples $(BIN)/mypy --cache-dir .mypy_cache/benchmarks \
@@ -189,6 +190,6 @@ $(VENV)/.develop: $(PROJECTS) | $(BIN)/python
 	$(call install,every plugin,--constraint constraints.txt $(addprefix --editable ,$(WITH_EXTRAS)))
 	-$(call install,types of ros2_control (compiled),--constraint constraints.txt $(addprefix --editable ,$(COMPILED)))
 	$(call install,tools for tests and checks,--constraint constraints.txt \
-	  pytest pytest-timeout pytest-xdist pytest-rerunfailures hypothesis ruff mypy types-psutil jsonschema types-jsonschema psutil build hatchling editables auditwheel nox \
+	  pytest pytest-timeout pytest-xdist pytest-rerunfailures deptry hypothesis ruff mypy types-psutil jsonschema types-jsonschema psutil build hatchling editables auditwheel nox \
 	  ros-jazzy-test-msgs transformers mujoco franky-control 'pylibfranka; python_version < "3.13"' ruckig playwright rosbags)
 	@touch $@ $(VENV)/.nox $(VENV)/.demo $(VENV)/.demo-fr3 $(VENV)/.demo-learned $(VENV)/.demo-bases $(VENV)/.demo-fleet $(VENV)/.demo-nav $(VENV)/.demo-so101
