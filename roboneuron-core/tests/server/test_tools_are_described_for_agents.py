@@ -11,6 +11,7 @@ import anyio
 import jsonschema
 import pytest
 from mcp import Client, types
+from mcp.shared.exceptions import MCPError
 
 from rn_standard.tools_loop.results import ModuleStatus
 from rn_testing.fakes import fake_registry
@@ -110,8 +111,26 @@ def test_the_status_is_a_resource(application: Application) -> None:
             assert uris == {"roboneuron://status"}
             status = (await client.read_resource("roboneuron://status")).contents[0]
             assert json.loads(status.text)["namespace"] == "gantry"  # type: ignore[union-attr]
-            with pytest.raises(Exception, match=r"no resource 'roboneuron://secret'"):
+            with pytest.raises(MCPError, match=r"no resource 'roboneuron://secret'") as caught:
                 await client.read_resource("roboneuron://secret")
+            assert caught.value.error.data == {"uri": "roboneuron://secret"}
+
+    anyio.run(ask)
+
+
+@pytest.mark.parametrize("mode", ["auto", "legacy"])
+def test_lists_are_answered_with_the_same_hints_also_when_empty(
+    application: Application, mode: Any
+) -> None:
+    """Clients ask for templates wherever there are resources."""
+
+    async def ask() -> None:
+        async with Client(application.server, mode=mode) as client:
+            listed = await client.list_resources()
+            templates = await client.list_resource_templates()
+            assert templates.resource_templates == []
+            assert templates.ttl_ms == listed.ttl_ms
+            assert templates.cache_scope == listed.cache_scope
 
     anyio.run(ask)
 

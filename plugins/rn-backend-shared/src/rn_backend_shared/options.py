@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
 from rn_backend_shared.frames import VERSION
 from rn_backend_shared.images import MOST_SIDE_PX
@@ -20,6 +20,13 @@ _Side = Annotated[int, Field(ge=1, le=MOST_SIDE_PX)]
 Rectangle = Annotated[tuple[_Pixel, _Pixel, _Side, _Side], Field(strict=False)]
 GpuName = Annotated[str, Field(pattern=r"^[A-Za-z0-9,:_/-]+$", max_length=256)]
 Table = Annotated[dict[str, object], ConfigurationOnly()]
+
+
+def check_port(address: str | None) -> str | None:
+    """Return an address. Raises ValueError: its port is beyond 65535."""
+    if address is not None and int(address.rpartition(":")[2]) > 65535:
+        raise ValueError(f"{address!r} names no port: write host:port, port from 1 to 65535")
+    return address
 
 
 class ModelOptions(BaseModel):
@@ -85,7 +92,10 @@ class SharedOptions(ModelOptions):
     backend: Annotated[Name | None, ConfigurationOnly()] = None
     """The backend that holds the model, for instance `oft`; not needed with `address`."""
     address: Annotated[
-        str | None, ConfigurationOnly(), Field(pattern=r"^[^\s:]{1,253}:\d{1,5}$")
+        str | None,
+        ConfigurationOnly(),
+        Field(pattern=r"^[^\s:]{1,253}:\d{1,5}$"),
+        AfterValidator(check_port),
     ] = None
     """A server on another machine, `host:port`; `host` may be the name of a machine of `roboneuron
     link`. If unset: a server on this machine, which is started if necessary.

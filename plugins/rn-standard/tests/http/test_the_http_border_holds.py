@@ -244,6 +244,17 @@ def test_changes_of_the_tools_are_announced(server: Server) -> None:
     assert answer["result"]["capabilities"]["tools"]["listChanged"] is True
 
 
+def test_the_stream_of_a_call_says_when_to_connect_again(server: Server) -> None:
+    session = server.open_session(**bearer("viewer"))
+    answer = server.post(1, "tools/list", {}, **session)
+    assert answer.headers["content-type"].startswith("text/event-stream")
+    assert [line for line in answer.text.splitlines() if line][:2] == [
+        "retry: 1000",
+        "event: message",
+    ]
+    assert answer.text.count("retry:") == 1
+
+
 def test_only_one_of_two_clients_without_a_token_acts(open_server: Server) -> None:
     first, second = open_server.open_session(), open_server.open_session()
     assert "operates the robot" not in json.dumps(open_server.call(first, 1, "stop_perception"))

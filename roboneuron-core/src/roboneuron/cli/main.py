@@ -59,6 +59,7 @@ COMMANDS: dict[str, Command] = {
 """Command by name, in the order of `roboneuron --help`."""
 GROUPS = ("config", "plugins")
 """Words before the actions of several commands."""
+_MOST_PORT = 65535
 
 
 def spoken(name: str) -> str:
@@ -146,6 +147,10 @@ def run_command(command: CommandModule, prog: str, words: Sequence[str]) -> int:
     ):
         add_installed(parser)
     arguments = parser.parse_args(words)
+    port = getattr(arguments, "port", 0)  # of several commands
+    if isinstance(port, int) and not 0 <= port <= _MOST_PORT:
+        shown = str(port)[:20]
+        parser.error(f"argument --port: {shown} is no port: name one from 0 to {_MOST_PORT}")
     apply_verbosity(arguments)
     return command.run(arguments)
 

@@ -149,12 +149,20 @@ def make_server(surface: Served, name: str) -> AnnouncingServer:
             ]
         )
 
+    async def list_resource_templates(
+        _: ServerRequestContext[Any, Any], params: types.PaginatedRequestParams | None
+    ) -> types.ListResourceTemplatesResult:
+        # clients ask for them wherever there are resources
+        return types.ListResourceTemplatesResult(resource_templates=[])
+
     def find_resource(uri: str) -> Resource:
         found = surface.resources.get(uri)
         if found is None:
             known = ", ".join(surface.resources)
             raise MCPError(
-                types.INVALID_PARAMS, f"There is no resource {uri[:200]!r}; there are: {known}."
+                types.INVALID_PARAMS,
+                f"There is no resource {uri[:200]!r}; there are: {known}.",
+                {"uri": uri[:2000]},
             )
         return found
 
@@ -175,6 +183,7 @@ def make_server(surface: Served, name: str) -> AnnouncingServer:
         on_list_tools=list_tools,
         on_call_tool=call_tool,
         on_list_resources=list_resources,
+        on_list_resource_templates=list_resource_templates,
         on_read_resource=read_resource,
     )
     server.find_resource = find_resource

@@ -31,6 +31,10 @@ IDLE_S = 600.0
 SESSION_HEADER = "mcp-session-id"
 _REQUEST_KEY = "roboneuron.request"
 _MOST_IDS = 4096
+_RETRY = b"retry: 1000\r\n"
+"""How long a client of a lost stream waits before it connects again [ms]. Source: protocol
+2025-11-25, basic/transports, Sending Messages to the Server.
+"""
 
 
 @dataclass(eq=False, slots=True)
@@ -139,14 +143,17 @@ class Sessions:
         if session is not None and session.holder == account_of(holder) and request_id is not None:
             request = _begin(session, request_id)
             scope = {**scope, _REQUEST_KEY: request}
-        is_answered = False
+        is_answered, is_first = False, scope["method"] == "POST"
 
         async def watch(message: Message) -> None:
-            nonlocal is_answered
+            nonlocal is_answered, is_first
             if message["type"] == "http.response.start":
                 self._note(scope["method"], name, message, account_of(holder))
             elif not message.get("more_body", False):
                 is_answered = True
+            if is_first and message.get("body", b"").startswith(b"event:"):
+                # within the first event: clients take an event without data for a broken message
+                message, is_first = {**message, "body": _RETRY + message["body"]}, False
             await send(message)
 
         if name is None and request_id is not None:
