@@ -16,11 +16,12 @@ from import_facts import CORE, PLUGINS, imports_of
 
 sys.path.pop(0)
 
-LIGHT = {"errors", "listing", "log_files"}
+LIGHT = {"errors", "foreign", "listing", "log_files"}
 CONTRACT = LIGHT | {"contract"}
 BELOW_GATE = CONTRACT | {"plugins", "planning", "config"}
 ALLOWED: dict[str, set[str]] = {
     "errors": set(),
+    "foreign": {"errors"},
     **{name: {"listing"} for name in ("feature", "command", "node")},
     "listing": set(),
     "log_files": set(),

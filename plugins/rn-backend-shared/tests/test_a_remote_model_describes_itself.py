@@ -16,7 +16,6 @@ from policy_servers import RunningServer, robot_of
 
 from rn_backend_shared.backend import SharedBackend
 from rn_backend_shared.case import install
-from rn_backend_shared.frames import FrameError
 from rn_backend_shared.introduction import from_profile, to_profile
 from rn_backend_shared.space import shared_space
 from rn_testing.fakes.site import PluginSite
@@ -25,6 +24,7 @@ from roboneuron import (
     ArmProfile,
     CameraProfile,
     ConfigurationError,
+    ForeignDataError,
     GripperProfile,
     RobotProfile,
     robot_space,
@@ -140,7 +140,7 @@ def test_what_a_space_depends_on_arrives(profile: RobotProfile) -> None:
     ],
 )
 def test_what_is_no_robot_is_refused(changed: dict[str, Any]) -> None:
-    with pytest.raises(FrameError):
+    with pytest.raises(ForeignDataError):
         to_profile({**from_profile(ARM), **changed})
 
 

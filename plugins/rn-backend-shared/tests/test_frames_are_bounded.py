@@ -23,7 +23,6 @@ from rn_backend_shared.frames import (
     MOST_ARRAY_BYTES,
     MOST_DOCUMENT_BYTES,
     VERSION,
-    FrameError,
     FrameKind,
     Header,
     VersionError,
@@ -46,6 +45,7 @@ from roboneuron import (
     Ahead,
     ArmState,
     CameraCalibration,
+    ForeignDataError,
     InvalidInputError,
     NotReadyError,
     Observation,
@@ -180,7 +180,7 @@ def spoilt(change: Callable[[dict[str, Any]], object]) -> dict[str, Any]:
 def test_a_field_outside_the_contract_is_refused(
     change: Callable[[dict[str, Any]], object],
 ) -> None:
-    with pytest.raises((FrameError, InvalidInputError)):
+    with pytest.raises((ForeignDataError, InvalidInputError)):
         to_observation(spoilt(change))
 
 
@@ -200,7 +200,7 @@ def test_a_field_outside_the_contract_is_refused(
 @pytest.mark.filterwarnings("ignore:invalid value")
 def test_a_chunk_outside_the_contract_is_refused(field: str, value: object) -> None:
     document = from_answer(ActionChunk(actions=ROWS, step_s=0.1)) | {field: value}
-    with pytest.raises((FrameError, RoboNeuronError)):
+    with pytest.raises((ForeignDataError, RoboNeuronError)):
         to_answer(arrived(document))
 
 
@@ -219,10 +219,10 @@ def test_any_bytes_are_a_frame_or_refused(data: bytes) -> None:
             header = read_header(head)
             assert header.document_bytes <= MOST_DOCUMENT_BYTES
             assert header.array_bytes <= MOST_ARRAY_BYTES
-        except FrameError:
+        except ForeignDataError:
             pass
     for size in (0, len(data)):
-        with suppress(FrameError):
+        with suppress(ForeignDataError):
             decode(Header(FrameKind.REQUEST, document_bytes=size), data)
 
 
@@ -236,7 +236,7 @@ def test_a_damaged_frame_is_read_or_refused(drawn: st.DataObject) -> None:
     try:
         header = read_header(frame[:HEADER_BYTES])
         to_observation(decode(header, frame[HEADER_BYTES : HEADER_BYTES + header.body_bytes]))
-    except (FrameError, RoboNeuronError):
+    except (ForeignDataError, RoboNeuronError):
         pass
 
 
@@ -258,7 +258,7 @@ def test_a_damaged_frame_is_read_or_refused(drawn: st.DataObject) -> None:
     ],
 )
 def test_a_document_that_is_none_is_refused(text: bytes) -> None:
-    with pytest.raises(FrameError):
+    with pytest.raises(ForeignDataError):
         decode(Header(FrameKind.REQUEST, document_bytes=len(text)), text + b"x")
 
 
@@ -272,7 +272,7 @@ def test_both_versions_are_named() -> None:
 def test_what_is_too_large_is_not_sent_and_not_received() -> None:
     with pytest.raises(ValueError, match="more than can be sent"):
         encode(Header(FrameKind.REQUEST), {"a": np.zeros(MOST_ARRAY_BYTES + 1, np.uint8)})
-    with pytest.raises(FrameError, match="more than allowed"):
+    with pytest.raises(ForeignDataError, match="more than allowed"):
         read_header(Header(FrameKind.REQUEST, array_bytes=MOST_ARRAY_BYTES + 1).pack())
 
 
@@ -343,7 +343,7 @@ def test_answers_that_nobody_waits_for_end_the_connection(
     thread.start()
     if changed == "answered":
         session.ask(request, time.monotonic() + 10.0)
-    with pytest.raises(FrameError, match="was replayed"):
+    with pytest.raises(ForeignDataError, match="was replayed"):
         session.ask(request, time.monotonic() + 10.0)
     thread.join(10.0)
 
@@ -357,7 +357,7 @@ def test_a_server_that_leaves_questions_open_is_left(
         with pytest.raises(TimeoutError):
             session.ask({}, time.monotonic() + 0.001)
         there.receive(time.monotonic() + 10.0)
-    with pytest.raises(FrameError, match="64 requests without an answer"):
+    with pytest.raises(ForeignDataError, match="64 requests without an answer"):
         session.ask({}, time.monotonic() + 1.0)
 
 

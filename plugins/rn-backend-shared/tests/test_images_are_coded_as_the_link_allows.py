@@ -18,13 +18,19 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from rn_backend_shared.coding import Coder, LinkMeter, distances
-from rn_backend_shared.frames import Document, FrameError
+from rn_backend_shared.frames import Document
 from rn_backend_shared.images import CODINGS, Coding, decode_image, encode_image, fit, image_bytes
 from rn_backend_shared.options import SharedOptions
 from rn_backend_shared.plugin import BACKEND
 from rn_backend_shared.wire import from_observation, to_observation
 from rn_testing.fakes.backend import make_observation
-from roboneuron import ActionChunk, CameraCalibration, ConfigurationError, Observation
+from roboneuron import (
+    ActionChunk,
+    CameraCalibration,
+    ConfigurationError,
+    ForeignDataError,
+    Observation,
+)
 
 U8 = NDArray[np.uint8]
 MBIT = 1e6 / 8
@@ -108,7 +114,7 @@ def bomb() -> bytes:
     ],
 )
 def test_what_is_no_such_image_is_refused(value: object) -> None:
-    with pytest.raises(FrameError):
+    with pytest.raises(ForeignDataError):
         decode_image(value)
 
 
@@ -121,7 +127,7 @@ def test_a_damaged_image_is_decoded_or_refused(data: st.DataObject) -> None:
     damaged = value["data"].copy()
     for _ in range(data.draw(st.integers(1, 5))):
         damaged[data.draw(st.integers(0, len(damaged) - 1))] = data.draw(st.integers(0, 255))
-    with contextlib.suppress(FrameError):
+    with contextlib.suppress(ForeignDataError):
         assert decode_image({**value, "data": damaged}).shape == (16, 16, 3)
 
 

@@ -18,10 +18,13 @@ from policy_servers import Robot, RunningServer, Serve, answers, robot_of, seen
 
 from rn_backend_shared.backend import SharedBackend
 from rn_backend_shared.channel import FrameChannel
-from rn_backend_shared.frames import HEADER_BYTES, FrameError, FrameKind, Header, read_header
+from rn_backend_shared.frames import HEADER_BYTES, FrameKind, Header, read_header
 from rn_backend_shared.session import greet
 from rn_testing.waiting import wait_until
-from roboneuron import NotReadyError
+from roboneuron import (
+    ForeignDataError,
+    NotReadyError,
+)
 
 pytestmark = pytest.mark.timeout(200)
 
@@ -356,7 +359,7 @@ def test_a_welcome_that_was_recorded_introduces_nobody(
     man.answer = lambda recording, frame: (recorded,)
     channel = FrameChannel(socket.create_connection(("127.0.0.1", man.port), 20.0))
     token = (plain.folder / "token").read_text().strip()
-    with closing(channel), pytest.raises(FrameError, match="was replayed"):
+    with closing(channel), pytest.raises(ForeignDataError, match="was replayed"):
         greet(channel, {"token": token}, 10.0)
 
 

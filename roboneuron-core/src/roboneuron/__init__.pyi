@@ -3,6 +3,9 @@ stub.
 """
 
 # ruff: noqa: I001
+from . import (
+    foreign as foreign,
+)
 from .config.models import (
     Section as Section,
 )
@@ -77,6 +80,7 @@ from .contract.rotation import (
 from .errors import (
     CheckpointError as CheckpointError,
     ConfigurationError as ConfigurationError,
+    ForeignDataError as ForeignDataError,
     InternalError as InternalError,
     InvalidInputError as InvalidInputError,
     MissingDependencyError as MissingDependencyError,

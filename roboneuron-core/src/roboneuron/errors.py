@@ -117,6 +117,12 @@ class InvalidInputError(RoboNeuronError):
         return cls(message, hint=f"Choose one of: {listed}.", path=path)
 
 
+class ForeignDataError(InvalidInputError):
+    """Data from outside (a message, an answer, a file) is not what was agreed; leave that item out.
+    The message is part of a sentence, without a full stop.
+    """
+
+
 class StateError(RoboNeuronError):
     """The call is valid but not in this state (a second start, a stop of something not running);
     check the status first.

@@ -12,7 +12,12 @@ from urllib.parse import urlsplit
 
 import httpx2
 
-from roboneuron import ConfigurationError, InvalidInputError
+from roboneuron import (
+    ConfigurationError,
+    ForeignDataError,
+    InvalidInputError,
+    foreign,
+)
 from roboneuron.command import environment
 
 if TYPE_CHECKING:
@@ -183,21 +188,23 @@ class PageLeader:
         before = self._led
         try:
             status, answer = self._get(client)
-        except (httpx2.HTTPError, ValueError) as error:
+        except (httpx2.HTTPError, ForeignDataError) as error:
             return Led(before.positions, before.at_s, "", f"The view does not answer: {error}.")
         text = str(answer.get("text", "")).rstrip(".")
         if status == HTTPStatus.OK:
-            positions = answer.get("positions")
-            if not isinstance(positions, dict):
+            try:
+                positions = foreign.named_numbers(answer.get("positions"), "positions", 256)
+            except ForeignDataError:
                 return Led(problem=f"{self.name} is no live view of RoboNeuron.")
-            return Led(
-                {str(key): float(value) for key, value in positions.items()}, time.monotonic()
-            )
+            return Led(positions, time.monotonic())
         if status == HTTPStatus.CONFLICT:
             return Led(before.positions, before.at_s, "", f"{text}.")
         return Led(problem=f"The leader {self.name} was refused: {text or status}.")
 
     def _get(self, client: httpx2.Client) -> tuple[int, dict[str, object]]:
         response = client.get(self._url)
-        answer = response.json() if response.headers.get("Content-Type") == _JSON else {}
-        return response.status_code, answer if isinstance(answer, dict) else {}
+        if response.headers.get("Content-Type") != _JSON:
+            return response.status_code, {}
+        return response.status_code, foreign.table(
+            foreign.decode_json(response.content, "the answer"), "the answer"
+        )

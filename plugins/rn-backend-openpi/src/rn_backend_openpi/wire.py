@@ -16,7 +16,7 @@ import msgpack
 import numpy as np
 from numpy.typing import NDArray
 
-from roboneuron import InvalidInputError
+from roboneuron import ForeignDataError, foreign
 
 MOST_BYTES = 64 * 2**20
 """Limit of one message: four raw camera images of 2560 x 1600 and a state."""
@@ -56,11 +56,11 @@ def unpack(data: bytes) -> dict[object, object] | NDArray[np.generic]:
     """Decode one message: a map, or an array alone.
 
     Raises:
-        InvalidInputError: it is not msgpack, neither a map nor an array, larger or deeper than the
+        ForeignDataError: it is not msgpack, neither a map nor an array, larger or deeper than the
             bounds, or contains a malformed array.
     """
     if len(data) > MOST_BYTES:
-        raise InvalidInputError(f"A message has {len(data)} bytes, at most {MOST_BYTES} are read.")
+        raise ForeignDataError(f"A message has {len(data)} bytes, at most {MOST_BYTES} are read.")
     try:
         value = msgpack.unpackb(
             data,
@@ -71,14 +71,14 @@ def unpack(data: bytes) -> dict[object, object] | NDArray[np.generic]:
             max_str_len=MOST_TEXT,
             max_ext_len=0,
         )
-        _check_depth(value, MOST_DEPTH)
     except (ValueError, TypeError, OverflowError, msgpack.UnpackException) as error:
-        raise InvalidInputError(
+        raise ForeignDataError(
             f"A message of {len(data)} bytes is not in openpi's format: "
             f"{error or type(error).__name__}."
         ) from error
+    foreign.check_value(value, "a message in openpi's format", most_depth=MOST_DEPTH)
     if not isinstance(value, dict | np.ndarray):
-        raise InvalidInputError(
+        raise ForeignDataError(
             f"A message holds a {type(value).__name__}, expected a map or an array."
         )
     return value
@@ -130,12 +130,3 @@ def _array(value: dict[object, object]) -> NDArray[np.generic]:
     if not is_shape or math.prod(shape) * dtype.itemsize != len(data):
         raise ValueError(f"an array of {len(data)} bytes says it is {dtype} {shape}")
     return np.frombuffer(data, dtype=dtype).reshape(shape).copy()
-
-
-def _check_depth(value: object, left: int) -> None:
-    """Raise ValueError if maps and lists are nested more than `left` deep."""
-    if isinstance(value, dict | list):
-        if left == 0:
-            raise ValueError(f"maps and lists are nested more than {MOST_DEPTH} deep")
-        for part in value.values() if isinstance(value, dict) else value:
-            _check_depth(part, left - 1)

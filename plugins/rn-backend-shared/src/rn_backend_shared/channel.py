@@ -13,12 +13,12 @@ from typing import NamedTuple
 from rn_backend_shared.frames import (
     HEADER_BYTES,
     Document,
-    FrameError,
     Header,
     decode,
     encode,
     read_header,
 )
+from roboneuron import ForeignDataError
 
 Buffer = bytes | bytearray | memoryview
 _LONG_S = 1e6
@@ -37,7 +37,7 @@ class Received(NamedTuple):
     body: bytearray
 
     def document(self) -> Document:
-        """Decode the document. Raises FrameError."""
+        """Decode the document. Raises ForeignDataError."""
         return decode(self.header, self.body)
 
 
@@ -100,15 +100,17 @@ class FrameChannel:
         Raises:
             TimeoutError: no frame until the deadline.
             OSError: the other side is gone.
-            FrameError: the other side sent something else.
+            ForeignDataError: the other side sent something else.
         """
         if self._header is None:
             self._fill(deadline_s)
             try:
                 header = read_header(self._buffer)
                 if self.most_bytes is not None and header.body_bytes > self.most_bytes:
-                    raise FrameError(f"a frame of {header.body_bytes} bytes is more than expected")
-            except FrameError:
+                    raise ForeignDataError(
+                        f"a frame of {header.body_bytes} bytes is more than expected"
+                    )
+            except ForeignDataError:
                 if not self._is_tls:
                     with suppress(OSError):  # unread bytes would reset the connection on close
                         self._in.recv(1 << 20, socket.MSG_DONTWAIT)

@@ -9,10 +9,12 @@ import math
 import struct
 from collections.abc import Mapping
 from enum import IntEnum
-from typing import Any, NamedTuple, Never
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
+from roboneuron import ForeignDataError, foreign
 
 Document = dict[str, Any]
 MAGIC = b"RNPI"
@@ -30,11 +32,7 @@ _ARRAY = "$array"
 _MICRO = 1e6
 
 
-class FrameError(ValueError):
-    """Received data is no frame, or not the expected one."""
-
-
-class VersionError(FrameError):
+class VersionError(ForeignDataError):
     """The other side uses another protocol version.
 
     Attributes:
@@ -111,19 +109,19 @@ def read_header(data: bytes | bytearray) -> Header:
 
     Raises:
         VersionError: the version differs.
-        FrameError: it is no header, or the sizes exceed the limits.
+        ForeignDataError: it is no header, or the sizes exceed the limits.
     """
     magic, version, kind, reserved, number, clock_ns, left_us, document, arrays = _HEADER.unpack(
         data
     )
     if magic != MAGIC:
-        raise FrameError("that is not the protocol of shared models")
+        raise ForeignDataError("that is not the protocol of shared models")
     if version != VERSION:
         raise VersionError(version)
     if document > MOST_DOCUMENT_BYTES or arrays > MOST_ARRAY_BYTES:
-        raise FrameError(f"a frame of {document} and {arrays} bytes is more than allowed")
+        raise ForeignDataError(f"a frame of {document} and {arrays} bytes is more than allowed")
     if reserved or kind not in FrameKind.__members__.values() or left_us > MOST_LEFT_S * _MICRO:
-        raise FrameError("the header of a frame is damaged")
+        raise ForeignDataError("the header of a frame is damaged")
     return Header(FrameKind(kind), number, clock_ns, left_us / _MICRO, document, arrays)
 
 
@@ -163,48 +161,34 @@ def decode(header: Header, body: bytes | bytearray | memoryview) -> Document:
     """Decode the document of a frame; its arrays share the memory of `body`.
 
     Raises:
-        FrameError: it is malformed.
+        ForeignDataError: it is malformed.
     """
-    view = memoryview(body)
-    try:
-        document, heads = json.loads(
-            bytes(view[: header.document_bytes]), parse_constant=_refuse_constant
-        )
-        found = _filled(document, _arrays(heads, view[header.document_bytes :]))
-    except FrameError:
-        raise
-    except (ValueError, TypeError, RecursionError) as error:
-        raise FrameError(f"the document of a frame cannot be read: {error}") from error
-    if not isinstance(found, dict):
-        raise FrameError("the frame holds no document")
-    return found
-
-
-def _refuse_constant(name: str) -> Never:
-    raise FrameError(f"{name} is no number")
+    view, what = memoryview(body), "the document of a frame"
+    told = foreign.decode_json(bytes(view[: header.document_bytes]), what)
+    document, heads = foreign.items(told, "a frame", least=2, most=2)
+    return foreign.table(_filled(document, _arrays(heads, view[header.document_bytes :])), what)
 
 
 def _arrays(heads: object, data: memoryview) -> list[NDArray[np.generic]]:
-    if not isinstance(heads, list) or len(heads) > _MOST_ARRAYS:
-        raise FrameError("the arrays of a frame are not described")
     arrays: list[NDArray[np.generic]] = []
     offset = 0
-    for dtype, shape in heads:
+    for head in foreign.items(heads, "the arrays of a frame", most=_MOST_ARRAYS):
+        dtype, shape = foreign.items(head, "an array of a frame", least=2, most=2)
         if (
             dtype not in _DTYPES
             or not isinstance(shape, list)
             or len(shape) > _MOST_DIMENSIONS
             or any(type(n) is not int or not 0 <= n <= MOST_ARRAY_BYTES for n in shape)
         ):
-            raise FrameError(f"an array {dtype!r:.20} {shape!r:.60} is not expected")
+            raise ForeignDataError(f"an array {dtype!r:.20} {shape!r:.60} is not expected")
         count = math.prod(shape)
         size = count * np.dtype(dtype).itemsize
         if offset + size > len(data):
-            raise FrameError("the frame ends within an array")
+            raise ForeignDataError("the frame ends within an array")
         arrays.append(np.frombuffer(data, dtype, count, offset).reshape(shape))
         offset += size
     if offset != len(data):
-        raise FrameError("bytes follow the arrays of a frame")
+        raise ForeignDataError("bytes follow the arrays of a frame")
     return arrays
 
 
@@ -213,7 +197,7 @@ def _filled(value: object, arrays: list[NDArray[np.generic]]) -> object:
         if value.keys() == {_ARRAY}:
             place = value[_ARRAY]
             if type(place) is not int or not 0 <= place < len(arrays):
-                raise FrameError("a document refers to an array that does not exist")
+                raise ForeignDataError("a document refers to an array that does not exist")
             return arrays[place]
         return {key: _filled(inner, arrays) for key, inner in value.items()}
     return [_filled(inner, arrays) for inner in value] if isinstance(value, list) else value

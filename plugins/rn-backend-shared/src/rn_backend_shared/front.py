@@ -17,7 +17,7 @@ from pathlib import Path
 from rn_backend_shared.admission import AdmissionTable
 from rn_backend_shared.channel import FrameChannel, peer_user
 from rn_backend_shared.fields import text
-from rn_backend_shared.frames import Document, FrameError, FrameKind, Header
+from rn_backend_shared.frames import Document, FrameKind, Header
 from rn_backend_shared.listening import (
     connections,
     local_listener,
@@ -29,7 +29,10 @@ from rn_backend_shared.replicas import Replicas
 from rn_backend_shared.security import Guard, is_same_token
 from rn_backend_shared.statistics import Times
 from rn_backend_shared.visitor import HELLO_BYTES, Patience, Visitor
-from roboneuron import ConfigurationError
+from roboneuron import (
+    ConfigurationError,
+    ForeignDataError,
+)
 
 log = logging.getLogger(__name__)
 _ADMIT_S = 5.0
@@ -240,13 +243,13 @@ class PolicyServer:
             with connected:
                 try:
                     self._tell_one(connected)
-                except (OSError, FrameError):
+                except (OSError, ForeignDataError):
                     pass
                 except Exception:  # the border to one client: the next one is answered
                     log.exception("The status cannot be told.")
 
     def _tell_one(self, connected: socket.socket) -> None:
-        """Answer a status request of this user. Raises OSError or FrameError."""
+        """Answer a status request of this user. Raises OSError or ForeignDataError."""
         if peer_user(connected) != os.getuid():
             return
         channel = FrameChannel(connected, HELLO_BYTES)

@@ -10,8 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rn_backend_shared.fields import array, field, integer
-from rn_backend_shared.frames import Document, FrameError
-from roboneuron import Frame, InvalidInputError
+from rn_backend_shared.frames import Document
+from roboneuron import (
+    ForeignDataError,
+    Frame,
+    InvalidInputError,
+)
 
 Coding = Literal["raw", "png", "jpeg"]
 CODINGS: tuple[Coding, ...] = ("raw", "png", "jpeg")
@@ -95,7 +99,7 @@ def decode_image(value: object) -> NDArray[np.uint8]:
     """Decode a received image.
 
     Raises:
-        FrameError: it is invalid, or its size differs from the announced one.
+        ForeignDataError: it is invalid, or its size differs from the announced one.
     """
     if isinstance(value, np.ndarray):
         raw: NDArray[np.uint8] = array(value, "an image", "|u1", (None, None, 3))
@@ -108,19 +112,19 @@ def decode_image(value: object) -> NDArray[np.uint8]:
     )
     data = array(field(value, "data"), "data of an image", "|u1", (None,))
     if coding not in ("png", "jpeg"):
-        raise FrameError("the coding of an image is unknown")
+        raise ForeignDataError("the coding of an image is unknown")
     try:
         with Image.open(io.BytesIO(data.tobytes()), formats=(coding,)) as opened:
             # checked before decompression: a small file can contain a large image
             if opened.size != (width, height) or opened.mode != "RGB":
-                raise FrameError(f"an image of {opened.size} {opened.mode} was not announced")
+                raise ForeignDataError(f"an image of {opened.size} {opened.mode} was not announced")
             decoded: NDArray[np.uint8] = np.asarray(opened, dtype=np.uint8)
-    except FrameError:
+    except ForeignDataError:
         raise
     except (OSError, ValueError, SyntaxError, EOFError, UnidentifiedImageError) as error:
-        raise FrameError(f"an image cannot be decoded: {error}") from error
+        raise ForeignDataError(f"an image cannot be decoded: {error}") from error
     except Image.DecompressionBombError as error:
-        raise FrameError("an image is larger than allowed") from error
+        raise ForeignDataError("an image is larger than allowed") from error
     return decoded
 
 

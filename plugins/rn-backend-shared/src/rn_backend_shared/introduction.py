@@ -9,7 +9,13 @@ from xml.sax.saxutils import quoteattr
 from rn_backend_shared.fields import field, integer, items, number, text
 from rn_backend_shared.frames import Document
 from rn_backend_shared.images import MOST_SIDE_PX
-from roboneuron import ArmProfile, CameraProfile, GripperProfile, RobotProfile, robot_space
+from roboneuron import (
+    ArmProfile,
+    CameraProfile,
+    GripperProfile,
+    RobotProfile,
+    robot_space,
+)
 
 ROBOT = "robot"
 """Entry of an introduction."""
@@ -53,7 +59,7 @@ def to_profile(document: object) -> RobotProfile:
     """The profile of an introduction, with only the parts on which a control space may depend.
 
     Raises:
-        FrameError: a field is missing, or has another type or range than expected.
+        ForeignDataError: a field is missing, or has another type or range than expected.
         RoboNeuronError: as `RobotProfile`.
     """
     slides = _names(field(document, "slides"), "joints that slide")

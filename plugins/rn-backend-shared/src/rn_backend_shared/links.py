@@ -15,10 +15,16 @@ from pathlib import Path
 
 from rn_backend_shared import wire
 from rn_backend_shared.channel import FrameChannel, peer_user
-from rn_backend_shared.frames import FrameError, VersionError
+from rn_backend_shared.frames import VersionError
 from rn_backend_shared.options import SharedOptions
 from rn_backend_shared.session import FAILED, READY, ModelSession, Welcome, check_ready, greet
-from roboneuron import ActionChunk, ConfigurationError, NotReadyError, Observation
+from roboneuron import (
+    ActionChunk,
+    ConfigurationError,
+    ForeignDataError,
+    NotReadyError,
+    Observation,
+)
 
 log = logging.getLogger(__name__)
 _HELLO_S = 0.5
@@ -130,7 +136,7 @@ class Links:
                 raise NotReadyError(
                     "The shared model did not answer before the deadline."
                 ) from error
-            except (OSError, FrameError) as error:
+            except (OSError, ForeignDataError) as error:
                 log.warning("The server of the shared model was lost: %s", error)
                 self._drop()
                 self._revive()
@@ -161,7 +167,7 @@ class Links:
             is_kept = told.state == READY and not self._is_closed
         except VersionError as error:
             raise ConfigurationError(f"The server at {path} cannot be used: {error}.") from error
-        except (OSError, FrameError):
+        except (OSError, ForeignDataError):
             return None
         finally:
             if not is_kept:

@@ -18,11 +18,16 @@ from types import MappingProxyType
 from rn_backend_shared import wire
 from rn_backend_shared.channel import FrameChannel
 from rn_backend_shared.fields import field
-from rn_backend_shared.frames import Document, FrameError, FrameKind, Header
+from rn_backend_shared.frames import Document, FrameKind, Header
 from rn_backend_shared.options import ServedModelOptions
 from rn_backend_shared.server_process import STAY
 from rn_backend_shared.session import FAILED, LOADING, READY, Welcome, greet
-from roboneuron import ConfigurationError, NotReadyError, RoboNeuronError
+from roboneuron import (
+    ConfigurationError,
+    ForeignDataError,
+    NotReadyError,
+    RoboNeuronError,
+)
 
 log = logging.getLogger(__name__)
 DEAD = "dead"
@@ -107,7 +112,7 @@ class ModelProcess:
         """
         try:
             channel, welcome = _connect(self.path, hello)
-        except (OSError, FrameError) as error:
+        except (OSError, ForeignDataError) as error:
             raise NotReadyError(
                 f"The model {self.name!r} has died, or is starting; it is restarted automatically."
             ) from error
@@ -129,12 +134,12 @@ class ModelProcess:
             own["failure"] = self._failure["message"]
         try:
             channel, _ = _connect(self.path)
-        except (OSError, FrameError):
+        except (OSError, ForeignDataError):
             return own
         try:
             channel.send(Header(FrameKind.STATUS), {}, _GREET_S)
             told = channel.receive(time.monotonic() + _GREET_S).document()
-        except (OSError, FrameError):
+        except (OSError, ForeignDataError):
             return own
         finally:
             channel.close()
@@ -224,7 +229,7 @@ class ModelProcess:
             channel, welcome = _connect(self.path)
             channel.close()
             failure = _failure(welcome)
-        except (OSError, FrameError):
+        except (OSError, ForeignDataError):
             return False
         if welcome.pid != process.pid:  # an old process; the new one ends at once
             return False
@@ -240,13 +245,15 @@ def _failure(welcome: Welcome) -> Document | None:
         return None
     try:
         wire.to_answer(welcome.failure)
+    except ForeignDataError:
+        raise
     except RoboNeuronError as error:
         return wire.from_answer(error)
-    raise FrameError("a failure without an error")
+    raise ForeignDataError("a failure without an error")
 
 
 def _connect(path: Path, hello: Mapping[str, object] = _NOBODY) -> tuple[FrameChannel, Welcome]:
-    """Greet the server at a local socket. Raises OSError or FrameError."""
+    """Greet the server at a local socket. Raises OSError or ForeignDataError."""
     connected = socket.socket(socket.AF_UNIX)
     try:
         connected.settimeout(_GREET_S)
@@ -282,7 +289,7 @@ def ask_status(path: Path) -> Document:
             channel.send(Header(FrameKind.STATUS), {}, _GREET_S)
             document = channel.receive(time.monotonic() + _END_S).document()
             field(document, "models")
-        except (OSError, FrameError) as error:
+        except (OSError, ForeignDataError) as error:
             raise NotReadyError(f"The policy server does not answer: {error}.") from error
         finally:
             channel.close()

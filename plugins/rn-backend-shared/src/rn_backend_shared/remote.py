@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 from rn_backend_shared.channel import FrameChannel
 from rn_backend_shared.coding import Coder
-from rn_backend_shared.frames import Document, FrameError, VersionError
+from rn_backend_shared.frames import Document, VersionError
 from rn_backend_shared.introduction import ROBOT, from_profile
 from rn_backend_shared.options import SharedOptions
 from rn_backend_shared.security import ServerAddress, link_stamps, place_of, tune
@@ -19,6 +19,7 @@ from rn_backend_shared.session import ModelSession, Welcome, check_ready, greet
 from roboneuron import (
     ActionChunk,
     ConfigurationError,
+    ForeignDataError,
     NotReadyError,
     Observation,
     RoboNeuronError,
@@ -106,7 +107,7 @@ class RemoteLink:
             raise NotReadyError(f"There is no connection to the server {self._address}.")
         try:
             return session.introduce({ROBOT: from_profile(profile)}, _DESCRIBE_S)
-        except (OSError, FrameError) as error:
+        except (OSError, ForeignDataError) as error:
             self._lose(str(error))
             raise NotReadyError(
                 f"The server {self._address} does not describe its model: {error}."
@@ -151,7 +152,7 @@ class RemoteLink:
                 f"The server {self._address} of the shared model did not answer before the "
                 "deadline."
             ) from error
-        except (OSError, FrameError) as error:
+        except (OSError, ForeignDataError) as error:
             self._lose(str(error))
             raise NotReadyError(
                 f"The connection to the server {self._address} of the shared model is lost: "
@@ -253,7 +254,7 @@ class RemoteLink:
             raise
         except VersionError as error:
             raise ConfigurationError(f"The server {self._address}: {error}.") from error
-        except (OSError, FrameError) as error:
+        except (OSError, ForeignDataError) as error:
             raise ConnectionError(
                 "it has closed the connection without an answer. Are the keys or the token those "
                 f"of the server, and does it have the same release of rn-backend-shared? ({error})"

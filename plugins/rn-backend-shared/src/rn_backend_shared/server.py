@@ -18,7 +18,7 @@ from rn_backend_shared import wire
 from rn_backend_shared.batching import Answer, Batcher, Waiting
 from rn_backend_shared.channel import FrameChannel, Received, peer_process, peer_user
 from rn_backend_shared.fields import field, text
-from rn_backend_shared.frames import Document, FrameError, FrameKind, Header, VersionError
+from rn_backend_shared.frames import Document, FrameKind, Header, VersionError
 from rn_backend_shared.images import CROPPED, crop
 from rn_backend_shared.introduction import CLIENT, ROBOT, to_profile
 from rn_backend_shared.listening import connections, outlast
@@ -29,6 +29,7 @@ from rn_backend_shared.statistics import Statistics
 from roboneuron import (
     ActionChunk,
     ConfigurationError,
+    ForeignDataError,
     InvalidInputError,
     NotReadyError,
     Observation,
@@ -149,7 +150,7 @@ class SharedModelServer:
         introduction (see `from_profile`).
 
         Raises:
-            FrameError: the introduction is invalid.
+            ForeignDataError: the introduction is invalid.
         """
         told: Document = {"state": self._state, "pid": os.getpid()}
         if self._failure is not None:
@@ -173,6 +174,8 @@ class SharedModelServer:
         """The control space of the model's chunks on a robot, or why it cannot move it."""
         try:
             return {"space": wire.from_space(self._model.space_on(to_profile(robot)))}
+        except ForeignDataError:  # no introduction; a refusal is for a model that does not fit
+            raise
         except RoboNeuronError as error:
             return {"refusal": wire.from_answer(error)}
 
@@ -288,7 +291,7 @@ class _RobotConnection:
             log.warning("A client was refused: %s", error)
             refusal = ConfigurationError(f"The server of the shared model refuses: {error}.")
             self._send(Header(FrameKind.ANSWER), wire.from_answer(refusal))
-        except FrameError as error:
+        except ForeignDataError as error:
             log.warning("A client sent what is no request: %s", error)
         finally:
             self._server.leave(self)
@@ -306,7 +309,7 @@ class _RobotConnection:
             self._send(Header(FrameKind.STATUS), self._server.status())
             return
         if header.kind is not FrameKind.REQUEST or header.number <= self._last:
-            raise FrameError(f"frame {header.number} of kind {header.kind} was not expected")
+            raise ForeignDataError(f"frame {header.number} of kind {header.kind} was not expected")
         self._last = header.number
         answer_header = Header(FrameKind.ANSWER, header.number, header.clock_ns)
 
@@ -333,10 +336,10 @@ class _RobotConnection:
                     connection=self,
                 )
             )
+        except ForeignDataError as error:
+            tell(InvalidInputError(f"The observation cannot be read: {error}."))
         except RoboNeuronError as error:
             tell(error)
-        except FrameError as error:
-            tell(InvalidInputError(f"The observation cannot be read: {error}."))
 
     def _hold(self, answer: Answer, number: int) -> wire.HeldContext | None:
         """Store the context of a chunk; called on the model's thread, so that it exists before the

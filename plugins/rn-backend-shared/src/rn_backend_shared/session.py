@@ -8,9 +8,15 @@ from dataclasses import dataclass, field, replace
 
 from rn_backend_shared import fields, wire
 from rn_backend_shared.channel import FrameChannel
-from rn_backend_shared.frames import Document, FrameError, FrameKind, Header
+from rn_backend_shared.frames import Document, FrameKind, Header
 from rn_backend_shared.images import MOST_SIDE_PX, Rectangle
-from roboneuron import ActionChunk, ControlSpace, NotReadyError, RoboNeuronError
+from roboneuron import (
+    ActionChunk,
+    ControlSpace,
+    ForeignDataError,
+    NotReadyError,
+    RoboNeuronError,
+)
 
 LOADING, READY, FAILED = "loading", "ready", "failed"
 """States of a server."""
@@ -60,7 +66,7 @@ class Welcome:
 
     @classmethod
     def of(cls, document: Document, number: int = 0) -> Welcome:
-        """Parse a received message. Raises FrameError."""
+        """Parse a received message. Raises ForeignDataError."""
         space, refusal = document.get("space"), document.get("refusal")
         crops = fields.table(document.get("crops", {}), "crops", 16)
         sizes = fields.table(document.get("image_sizes", {}), "image sizes", 16)
@@ -100,7 +106,7 @@ def _space(value: object) -> ControlSpace:
     try:
         return wire.to_space(value)
     except RoboNeuronError as error:
-        raise FrameError(f"the server sent an invalid control space: {error}") from error
+        raise ForeignDataError(f"the server sent an invalid control space: {error}") from error
 
 
 def _size(value: object) -> tuple[int, int]:
@@ -114,17 +120,19 @@ def greet(channel: FrameChannel, hello: Document, timeout_s: float) -> Welcome:
 
     Raises:
         OSError: the server is gone, or does not answer.
-        FrameError: the answer is invalid, or belongs to another hello; VersionError for another
-            version.
+        ForeignDataError: the answer is invalid, or belongs to another hello;
+            VersionError for another version.
     """
     asked = Header(FrameKind.HELLO, clock_ns=time.monotonic_ns())
     channel.send(asked, hello, timeout_s)
     received = channel.receive(time.monotonic() + timeout_s)
     header = received.header
     if header.kind is not FrameKind.WELCOME:
-        raise FrameError("the server does not introduce itself")
+        raise ForeignDataError("the server does not introduce itself")
     if header.clock_ns != asked.clock_ns:
-        raise FrameError("the introduction of the server was replayed: it answers another hello")
+        raise ForeignDataError(
+            "the introduction of the server was replayed: it answers another hello"
+        )
     return Welcome.of(received.document(), header.number)
 
 
@@ -150,7 +158,7 @@ class ModelSession:
         Raises:
             TimeoutError: no answer by the deadline (monotonic [s]); the next request may follow.
             OSError: the connection is unusable.
-            FrameError: likewise, for instance after an answer without a request or a repeated one.
+            ForeignDataError: likewise, for instance after an answer to no request.
             RoboNeuronError: the server's error for this observation.
         """
         began_ns, left_s = time.monotonic_ns(), deadline_s - time.monotonic()
@@ -158,7 +166,7 @@ class ModelSession:
         if left_s <= 0:
             raise TimeoutError("the deadline has passed before the request")
         if len(self._open) >= _MOST_OPEN:
-            raise FrameError(f"the server left {_MOST_OPEN} requests without an answer")
+            raise ForeignDataError(f"the server left {_MOST_OPEN} requests without an answer")
         # a request that is not sent in time is cut, and the connection unusable
         self._channel.send(header, {"observation": observation}, left_s)
         self._number += 1  # after sending, because the server accepts only the next number
@@ -176,7 +184,7 @@ class ModelSession:
         """The welcome message for a robot's introduction; between two requests.
 
         Raises:
-            OSError, FrameError: as `greet`.
+            OSError, ForeignDataError: as `greet`.
         """
         return greet(self._channel, hello, timeout_s)
 
@@ -188,9 +196,9 @@ class ModelSession:
             received = self._channel.receive(deadline_s)
             header = received.header
             if header.kind is not FrameKind.ANSWER:
-                raise FrameError("the server sent a frame that is no answer")
+                raise ForeignDataError("the server sent a frame that is no answer")
             if self._open.pop(header.number, None) != header.clock_ns:
-                raise FrameError(
+                raise ForeignDataError(
                     f"answer {header.number} was replayed: it has no request on this connection"
                 )
             if header.number == asked.number:

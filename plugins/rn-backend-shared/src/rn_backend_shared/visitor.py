@@ -17,12 +17,17 @@ from typing import Protocol
 
 from rn_backend_shared import wire
 from rn_backend_shared.channel import FrameChannel, Received
-from rn_backend_shared.frames import Document, FrameError, FrameKind, Header, VersionError
+from rn_backend_shared.frames import Document, FrameKind, Header, VersionError
 from rn_backend_shared.introduction import CLIENT, ROBOT
 from rn_backend_shared.replicas import Replicas, Seat
 from rn_backend_shared.security import Guard, client_of, tune, valid_until
 from rn_backend_shared.session import FAILED
-from roboneuron import ConfigurationError, NotReadyError, RoboNeuronError
+from roboneuron import (
+    ConfigurationError,
+    ForeignDataError,
+    NotReadyError,
+    RoboNeuronError,
+)
 
 log = logging.getLogger(__name__)
 HELLO_BYTES = 4096
@@ -118,14 +123,16 @@ class Visitor:
             channel = self._channel = FrameChannel(self._connected, HELLO_BYTES)
             received = channel.receive(time.monotonic() + self._patience.admit_s)
             if received.header.kind is not FrameKind.HELLO:
-                raise FrameError("it has not introduced itself")
+                raise ForeignDataError("it has not introduced itself")
             try:
                 model = self._server.admit(self, received.document())
+            except ForeignDataError:  # it is not of this protocol and gets no answer
+                raise
             except RoboNeuronError as error:
                 refusal = {"state": FAILED, "pid": 0, **wire.from_answer(error)}
                 told = Header(FrameKind.WELCOME, clock_ns=received.header.clock_ns)
                 channel.send(told, refusal, _SEND_S)
-                raise FrameError(str(error)) from error
+                raise ForeignDataError(str(error)) from error
             channel.most_bytes = _REQUEST_BYTES
             log.info("A robot at %s uses the model %s.", self.address, model.name)
             self._welcome(channel, model, received)
@@ -134,7 +141,7 @@ class Visitor:
         except VersionError as error:
             why = str(error)
             self._refuse_version(error)
-        except (OSError, FrameError) as error:
+        except (OSError, ForeignDataError) as error:
             why = str(error)
         finally:
             self.close(why)
@@ -183,9 +190,9 @@ class Visitor:
             self._welcome(channel, model, received)
             return
         if header.kind is not FrameKind.REQUEST:
-            raise FrameError(f"a frame of kind {header.kind} was not expected")
+            raise ForeignDataError(f"a frame of kind {header.kind} was not expected")
         if header.number != self._last + 1:
-            raise FrameError(
+            raise ForeignDataError(
                 f"request {header.number} was replayed, lost or from another connection: "
                 f"{self._last + 1} comes next"
             )
@@ -244,7 +251,7 @@ class Visitor:
             raise NotReadyError(
                 f"The model {model.name!r} did not answer before the deadline."
             ) from error
-        except (OSError, FrameError) as error:
+        except (OSError, ForeignDataError) as error:
             self._leave_seat()
             refusal = NotReadyError(f"The model {model.name!r} has died; the server restarts it.")
             if len(model.processes) == 1 or time.monotonic() > deadline_s:
@@ -257,13 +264,13 @@ class Visitor:
             raise NotReadyError(
                 f"The model {model.name!r} did not answer before the deadline."
             ) from error
-        except (OSError, FrameError) as error:
+        except (OSError, ForeignDataError) as error:
             self._leave_seat()
             raise refusal from error
 
 
 def _asked(channel: FrameChannel, received: Received, deadline_s: float) -> Received:
-    """Forward a request to a process and return its answer. Raises OSError or FrameError."""
+    """Forward a request to a process and return its answer. Raises OSError or ForeignDataError."""
     header = received.header
     left_s = deadline_s - time.monotonic()
     told = header._replace(left_s=max(left_s, 0.0))

@@ -158,7 +158,7 @@ def to_observation(document: object, held: Held = lambda context: None) -> Obser
     """Decode an observation.
 
     Raises:
-        FrameError: a field is missing, or has not the type and range of the contract.
+        ForeignDataError: a field is missing, or has not the type and range of the contract.
         RoboNeuronError: as the contract's own types.
     """
     frames = table(field(document, "frames"), "frames", _MOST_CAMERAS)
@@ -275,7 +275,7 @@ def to_answer(document: Mapping[str, object]) -> ActionChunk:
 
     Raises:
         RoboNeuronError: the received error.
-        FrameError: it is neither a chunk nor an error.
+        ForeignDataError: it is neither a chunk nor an error.
     """
     if "error" in document:
         kind = _ERRORS.get(text(document["error"], "an error"), PluginError)
@@ -311,7 +311,7 @@ def to_space(value: object) -> ControlSpace:
     """Decode a control space; the default one becomes the contract's own object.
 
     Raises:
-        FrameError: it is malformed.
+        ForeignDataError: it is malformed.
         RoboNeuronError: as `ControlSpace`.
     """
     kind, rate_hz, channels = items(value, "a space", most=3, least=3)

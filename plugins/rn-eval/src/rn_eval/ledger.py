@@ -17,13 +17,17 @@ from pathlib import Path
 from types import TracebackType
 from typing import Generic, Literal, Protocol, Self, TypeVar
 
-from pydantic import ValidationError
-
 from rn_eval.plan import EvalPlan
 from rn_eval.record import EpisodeRecord
 from rn_eval.versions import changed_versions
-from roboneuron import ConfigurationError, StateError
+from roboneuron import (
+    ConfigurationError,
+    ForeignDataError,
+    StateError,
+    foreign,
+)
 
+_MOST_BYTES = 1 << 24
 FILE_NAME = "episodes.jsonl"
 PLAN_NAME = "plan.json"
 STRIPS = "strips"
@@ -61,7 +65,7 @@ class LedgerRecord(Protocol):
     @property
     def host(self) -> str: ...
     @classmethod
-    def model_validate_json(cls, json_data: bytes, /) -> Self: ...
+    def model_validate_json(cls, json_data: str, /) -> Self: ...
     def model_copy(self, *, update: dict[str, object]) -> Self: ...
     def model_dump_json(self) -> str: ...
 
@@ -102,8 +106,9 @@ def read_plan_of(directory: Path, kind: type[PlanT]) -> PlanT:
     """
     path = directory / PLAN_NAME
     try:
-        return kind.model_validate_json(path.read_text(encoding="utf-8"))
-    except (OSError, ValidationError) as error:
+        text = foreign.read_bytes(path, most_bytes=_MOST_BYTES)
+        return foreign.decode_model(kind, text, path.name, most_bytes=_MOST_BYTES)
+    except (OSError, ForeignDataError) as error:
         raise ConfigurationError(f"{path} holds no plan of an evaluation: {error}.") from error
 
 
@@ -130,11 +135,9 @@ def read_records_of(directory: Path, kind: type[RecordT]) -> list[RecordT]:
     records: dict[LedgerKey, RecordT] = {}
     for number, line in enumerate(lines, 1):
         try:
-            record = kind.model_validate_json(line)
-        except ValidationError as error:
-            raise ConfigurationError(
-                f"{path}:{number} is damaged: {error.errors()[0]['msg']}."
-            ) from error
+            record = foreign.decode_model(kind, line, "the line")
+        except ForeignDataError as error:
+            raise ConfigurationError(f"{path}:{number} is damaged: {error}.") from error
         before = records.pop(record.key, None)
         if before is not None and before.outcome.status != "error":
             raise ConfigurationError(f"{path}:{number} repeats the episode {record.key.slug}.")

@@ -13,7 +13,7 @@ import msgpack
 import numpy as np
 from PIL import Image
 
-from roboneuron import InvalidInputError
+from roboneuron import ForeignDataError, foreign
 
 PROTOCOL_VERSION = 1
 MOST_MESSAGE_BYTES = 64 * 1024 * 1024
@@ -49,19 +49,23 @@ def pack(message: WireMessage) -> bytes:
 
 
 def unpack(data: object) -> WireMessage:
-    """Parse a message. Raises InvalidInputError if it violates the protocol."""
+    """Parse a message. Raises ForeignDataError if it violates the protocol."""
     if not isinstance(data, bytes):
-        raise InvalidInputError("Expected a binary message.")
+        raise ForeignDataError("Expected a binary message.")
     try:
         raw = msgpack.unpackb(data, object_hook=_from_map, raw=False)
-        kind, payload, seq = raw["type"], raw["payload"], raw["seq"]
-    except (ValueError, TypeError, KeyError, OSError, msgpack.UnpackException) as error:
-        raise InvalidInputError(
+    except (
+        *(ValueError, TypeError, KeyError, OSError, OverflowError, SyntaxError),
+        msgpack.UnpackException,
+    ) as error:
+        raise ForeignDataError(
             f"A message could not be read: {type(error).__name__}: {error}."
         ) from error
-    if kind not in _KINDS or not isinstance(payload, dict) or type(seq) is not int:
-        raise InvalidInputError(f"A message is of type {kind!r}; known are {', '.join(_KINDS)}.")
-    return WireMessage(kind, payload, seq)
+    foreign.check_value(raw, "a message")
+    kind = foreign.choice(foreign.field(raw, "type"), "the type of a message", _KINDS)
+    payload = foreign.table(foreign.field(raw, "payload"), "the payload", 4096)
+    seq = foreign.integer(foreign.field(raw, "seq"), "seq")
+    return WireMessage(cast("Kind", kind), payload, seq)
 
 
 def _to_map(value: object) -> object:

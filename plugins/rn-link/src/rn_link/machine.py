@@ -15,7 +15,11 @@ from ipaddress import IPv4Address
 from pathlib import Path
 from typing import Literal, NamedTuple
 
-from roboneuron import ConfigurationError
+from roboneuron import (
+    ConfigurationError,
+    ForeignDataError,
+    foreign,
+)
 
 Role = Literal["hub", "member"]
 """The hub holds the certificate authority and connects to its members, which listen."""
@@ -113,32 +117,28 @@ def read_machine(folder: Path) -> Machine | None:
     """
     path = folder / _FILE
     try:
-        return _parse(json.loads(path.read_text(encoding="utf-8")))
+        return _parse(foreign.read_json(path))
     except FileNotFoundError:
         return None
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, ConfigurationError) as error:
+    except (ForeignDataError, ConfigurationError) as error:
         raise ConfigurationError(
             f"{path} cannot be read: {error}.",
             hint="Remove its folder and pair the machine again with `roboneuron link`.",
         ) from error
 
 
-def _parse(facts: dict[str, object]) -> Machine:
-    peers = facts["peers"]
-    if facts["role"] not in ("hub", "member") or not isinstance(peers, dict):
-        raise ValueError("it is no link")
+def _parse(facts: object) -> Machine:
+    role = foreign.choice(foreign.field(facts, "role"), "role", ("hub", "member"))
+    peers = foreign.table(foreign.field(facts, "peers"), "peers")
     return Machine(
-        name=check_name(str(facts["name"])),
-        role="hub" if facts["role"] == "hub" else "member",
-        port=_port(facts["port"]),
-        peers={
-            check_name(name): Peer(check_address(address), _port(port))
-            for name, (address, port) in peers.items()
-        },
+        name=check_name(foreign.text(foreign.field(facts, "name"), "name")),
+        role="hub" if role == "hub" else "member",
+        port=check_port(foreign.integer(foreign.field(facts, "port"), "port")),
+        peers={check_name(name): _peer(facts) for name, facts in peers.items()},
     )
 
 
-def _port(found: object) -> int:
-    if not isinstance(found, int):
-        raise ValueError("a port is a number")
-    return check_port(found)
+def _peer(facts: object) -> Peer:
+    address, port = foreign.items(facts, "a machine", least=2, most=2)
+    place = check_address(foreign.text(address, "an address"))
+    return Peer(place, check_port(foreign.integer(port, "a port")))

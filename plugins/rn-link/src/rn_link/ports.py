@@ -14,8 +14,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
-from rn_link.machine import DISCOVERY_PORT, LOOPBACK, RELAY, alias
+from rn_link.machine import DISCOVERY_PORT, LOOPBACK, RELAY, alias, check_name
 from rn_link.rtps import Announcement, domain_of, read_announcement, with_places
+from roboneuron import ConfigurationError, ForeignDataError, foreign
 
 log = logging.getLogger(__name__)
 PARTICIPANT_BYTES = 12
@@ -190,16 +191,21 @@ class Ports:
         themselves.
         """
         try:
-            facts = json.loads(self._record.read_text(encoding="utf-8"))
-            here = {int(port): bytes.fromhex(one) for port, one in facts["here"].items()}
-            there = [
-                (str(machine), ParticipantPort(bytes.fromhex(one), int(port)), int(own))
-                for machine, one, port, own in facts["there"]
-            ]
-            metatraffic = {int(port) for port in facts["metatraffic"]}
+            facts = foreign.read_json(self._record, most_bytes=1 << 20)
+            here = {
+                _port(foreign.decode_json(port, "a port")): foreign.octets(one, "a participant")
+                for port, one in foreign.table(foreign.field(facts, "here"), "here").items()
+            }
+            there = []
+            for one in foreign.items(foreign.field(facts, "there"), "there", most=65_536):
+                machine, participant, port, own = foreign.items(one, "a port", least=4, most=4)
+                place = ParticipantPort(foreign.octets(participant, "a participant"), _port(port))
+                there.append((check_name(foreign.text(machine, "a machine")), place, _port(own)))
+            listed = foreign.items(foreign.field(facts, "metatraffic"), "metatraffic", most=65_536)
+            metatraffic = {_port(port) for port in listed}
         except FileNotFoundError:
             return
-        except (ValueError, KeyError, TypeError, AttributeError) as error:
+        except (ForeignDataError, ConfigurationError) as error:
             log.warning("%s is damaged; ROS starts discovery again: %s", self._record, error)
             return
         self._here |= here
@@ -222,6 +228,10 @@ class Ports:
     def _close(self, made: socket.socket) -> None:
         self._loop.remove_reader(made)
         made.close()
+
+
+def _port(value: object) -> int:
+    return foreign.integer(value, "a port", 1, 65_535)
 
 
 def _open(address: str, port: int) -> socket.socket:

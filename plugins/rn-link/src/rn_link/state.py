@@ -16,6 +16,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from rn_link.machine import Machine
+from roboneuron import ForeignDataError, foreign
 
 log = logging.getLogger("rn_link")
 STATE, LOCK = "relay.json", "relay.lock"
@@ -92,9 +93,15 @@ def read_connections(folder: Path) -> dict[str, PeerConnection] | None:
     finally:
         os.close(lock)
     try:
-        found = json.loads((folder / STATE).read_text(encoding="utf-8"))
-        return {name: PeerConnection(**facts) for name, facts in found.items()}
+        found = foreign.table(foreign.read_json(folder / STATE), STATE)
+        return {
+            name: foreign.to_dataclass(PeerConnection, facts, "a connection")
+            for name, facts in found.items()
+        }
     except FileNotFoundError:  # it is starting
+        return {}
+    except ForeignDataError as error:
+        log.warning("The state of the connections is not known: %s.", error)
         return {}
 
 

@@ -8,6 +8,7 @@ import struct
 import time
 
 from rn_link_pairing.pake import PairingError
+from roboneuron import ForeignDataError, foreign
 
 MOST_BYTES = 16_384
 _LENGTH = struct.Struct(">I")
@@ -58,18 +59,15 @@ class Wire:
 def parse(content: bytes, *names: str) -> list[str]:
     """Return text fields of a JSON object; raises PairingError."""
     try:
-        fields = json.loads(content)
-        found = [fields[name] for name in names]
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        fields = foreign.decode_json(content, "a message", most_bytes=MOST_BYTES)
+        return [foreign.text(foreign.field(fields, name), name, MOST_BYTES) for name in names]
+    except ForeignDataError as error:
         raise PairingError("the other side does not use this protocol") from error
-    if not all(isinstance(one, str) for one in found):
-        raise PairingError("the other side does not use this protocol")
-    return found
 
 
 def to_bytes(text: str) -> bytes:
     """Bytes from hexadecimal digits; raises PairingError."""
     try:
-        return bytes.fromhex(text)
-    except ValueError as error:
+        return foreign.octets(text, "a value")
+    except ForeignDataError as error:
         raise PairingError("the other side does not use this protocol") from error

@@ -13,7 +13,11 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from roboneuron import StateError
+from roboneuron import (
+    ForeignDataError,
+    StateError,
+    foreign,
+)
 
 LEDGER_FILE, LOCK_FILE = "ledger.jsonl", "improve.lock"
 BEGUN, ROLLED_OUT, TRAINED, EVALUATED = "begun", "rolled_out", "trained", "evaluated"
@@ -61,8 +65,11 @@ class ImprovementLedger:
             with self._path.open("r+b") as file:
                 file.truncate(len(whole))
         try:
-            self.entries = [json.loads(line) for line in whole.splitlines()]
-        except ValueError as error:
+            self.entries = [
+                foreign.table(foreign.decode_json(line, "a line", has_constants=True), "a line")
+                for line in whole.splitlines()
+            ]
+        except ForeignDataError as error:
             raise StateError(
                 f"{self._path} is no ledger: {error}.", hint="Name another folder with --out."
             ) from error

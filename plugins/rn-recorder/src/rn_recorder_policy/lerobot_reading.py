@@ -6,7 +6,6 @@ written by them.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NotRequired, TypedDict
@@ -16,12 +15,18 @@ from numpy.typing import NDArray
 
 from rn_recorder_policy.demonstration import ACTION, INTERVENTION, Column, Demonstration
 from rn_recorder_policy.pictures import decode_image, read_video_frames
-from roboneuron import InvalidInputError, MissingDependencyError
+from roboneuron import (
+    ForeignDataError,
+    InvalidInputError,
+    MissingDependencyError,
+    foreign,
+)
 
 U8 = NDArray[np.uint8]
 INFO = Path("meta") / "info.json"
 _OLD, _NEW = ("v2.0", "v2.1"), "v3."
 _CHUNK_SIZE = 1000
+_MOST_BYTES = 1 << 24
 _NUMBERS = ("float32", "float64", "int32", "int64", "bool")
 
 
@@ -202,8 +207,8 @@ def _read_table(path: Path, filters: list[tuple[str, str, int]]) -> Any:
 
 def _json(path: Path) -> _Info:
     try:
-        read: _Info = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+        read: _Info = foreign.read_json(path, most_bytes=_MOST_BYTES, has_constants=True)
+    except (OSError, ForeignDataError) as error:
         raise InvalidInputError(f"{path} cannot be read: {error}.") from error
     return read
 
@@ -212,6 +217,6 @@ def _json_lines(path: Path) -> Iterator[dict[str, Any]]:
     try:
         for line in path.read_text(encoding="utf-8").splitlines():
             if line.strip():
-                yield json.loads(line)
-    except (OSError, ValueError) as error:
+                yield foreign.decode_json(line, path.name, has_constants=True)
+    except (OSError, ValueError, ForeignDataError) as error:
         raise InvalidInputError(f"{path} cannot be read: {error}.") from error

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
+
+from roboneuron import ForeignDataError, foreign
 
 _MOST = 1 << 20
 
@@ -51,7 +52,7 @@ class AuditTail:
                 return
             *whole, self._rest = (self._rest + data).split(b"\n")
             for line in whole:
-                with suppress(ValueError):
-                    entry = json.loads(line)
+                with suppress(ForeignDataError):
+                    entry = foreign.decode_json(line, "a line of the audit")
                     if isinstance(entry, dict):
                         yield line.decode("utf-8", errors="replace"), entry

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rn_standard.console.plugin_options import add_option, read_options
-from roboneuron import ConfigurationError, InvalidInputError
+from roboneuron import (
+    ConfigurationError,
+    InvalidInputError,
+    foreign,
+)
 
 if TYPE_CHECKING:
     from rn_recorder_runs.store import Run, RunStore
@@ -254,7 +257,9 @@ def _replay(run: Run, arguments: Namespace) -> int:
     from rn_recorder_runs.replayed_run import load_replayed
 
     about = read_about(run.files[0])
-    recorded = ((json.loads(about.get("config", "{}")) or {}).get("inference") or {}).get("backend")
+    told = foreign.decode_json(about.get("config", "{}"), "the configuration", has_constants=True)
+    part = foreign.table(told or {}, "the configuration").get("inference") or {}
+    recorded = foreign.table(part, "[inference]").get("backend")
     backend = arguments.backend or recorded
     if backend is None:
         raise InvalidInputError(

@@ -6,7 +6,6 @@ input, if `predictions` contains it, otherwise the newest one at the time of sen
 
 from __future__ import annotations
 
-import json
 import struct
 from bisect import bisect_right
 from collections.abc import Mapping, Sequence
@@ -20,7 +19,7 @@ from numpy.typing import NDArray
 from rn_recorder_runs.acted import POLICY, ActedRow, Deeds
 from rn_recorder_runs.files import read_about
 from rn_recorder_runs.reading import camera_of, iterate
-from rn_recorder_runs.store import LABELS, WHOLE_RUN
+from rn_recorder_runs.store import LABELS, WHOLE_RUN, decoded_event
 from roboneuron import ACTION_LABEL, InvalidInputError, channel_keys
 
 F64 = NDArray[np.float64]
@@ -160,7 +159,7 @@ def read_streams(files: Sequence[Path]) -> Streams:
         record, message = entry.record, entry.message
         name = record.topic.rpartition("/")[2]
         if record.topic == EVENTS:
-            found.events.append(json.loads(message.data))
+            found.events.append(decoded_event(message.data))
         elif name == "action":
             dims = message.layout.dim
             label = dims[0].label if dims else ACTION_LABEL
@@ -174,7 +173,7 @@ def read_streams(files: Sequence[Path]) -> Streams:
             found.acting.append(ActedRow.from_message(message, record.publish_ns))
         elif name == "predictions":
             found.predictions.append(
-                RecordedPrediction(record.publish_ns, json.loads(message.data), record.sequence)
+                RecordedPrediction(record.publish_ns, decoded_event(message.data), record.sequence)
             )
         elif name == "joint_states":
             found.joint_names = found.joint_names or tuple(message.name)

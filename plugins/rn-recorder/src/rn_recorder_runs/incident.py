@@ -9,6 +9,7 @@ from pathlib import Path
 
 from rn_recorder_runs.files import copy_records
 from rn_recorder_runs.store import RunStore
+from roboneuron import foreign
 
 log = logging.getLogger(__name__)
 LATE_NS = 5_000_000_000
@@ -75,3 +76,15 @@ def cut(
         return False
     log.warning("Incident recorded: %s", incident.id)
     return True
+
+
+def to_incident(told: object) -> OpenIncident:
+    """An incident that an earlier recorder did not finish. Raises ForeignDataError."""
+    facts = foreign.items(foreign.field(told, "facts"), "facts", most=10_000)
+    return OpenIncident(
+        id=foreign.text(foreign.field(told, "id"), "id"),
+        at_ns=foreign.integer(foreign.field(told, "at_ns"), "at_ns"),
+        until_ns=foreign.integer(foreign.field(told, "until_ns"), "until_ns"),
+        facts=[foreign.table(one, "a fact") for one in facts],
+        kept_ns=foreign.integer(foreign.table(told, "an incident").get("kept_ns", 0), "kept_ns"),
+    )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from types import ModuleType
@@ -15,7 +16,10 @@ from rn_recorder_runs.episodes import RecordedEpisode
 from rn_recorder_runs.files import read_about
 from rn_recorder_runs.store import Run
 from rn_recorder_runs.video import Codec
-from roboneuron import channel_keys
+from roboneuron import (
+    channel_keys,
+    foreign,
+)
 
 ColumnFeatures = dict[str, dict[str, object]]
 """What LeRobot is told of each column, by name."""
@@ -168,7 +172,8 @@ def origin(
     about = read_about(sources[0].run.files[0])
     # a limit may be infinite, which JSON can only tell as text
     contract, config = (
-        json.loads(about.get(name, "{}"), parse_constant=str) for name in ("contract", "config")
+        _spelled(foreign.decode_json(about.get(name, "{}"), name, has_constants=True))
+        for name in ("contract", "config")
     )
     return {
         "contract": contract,
@@ -192,3 +197,13 @@ def origin(
             for e in episodes
         ],
     }
+
+
+def _spelled(value: object) -> object:
+    """The value with "Infinity" and the like as text."""
+    if isinstance(value, dict):
+        return {name: _spelled(one) for name, one in value.items()}
+    if isinstance(value, list):
+        return [_spelled(one) for one in value]
+    is_odd = isinstance(value, float) and not math.isfinite(value)
+    return json.dumps(value) if is_odd else value

@@ -9,7 +9,7 @@ from typing import Any
 
 from rn_recorder_runs.files import read_about
 from rn_recorder_runs.reading import count_topics, iterate
-from rn_recorder_runs.store import Run, RunStore
+from rn_recorder_runs.store import Run, RunStore, decoded_event
 
 
 def list_runs(store: RunStore, as_json: bool) -> int:
@@ -59,7 +59,7 @@ def show_run(run: Run, as_json: bool) -> int:
             {
                 "topic": found.record.topic,
                 "at_ns": found.record.publish_ns,
-                **json.loads(found.message.data),
+                **decoded_event(found.message.data),
             }
         )
     if as_json:

@@ -7,7 +7,6 @@ is tried again every two seconds.
 
 from __future__ import annotations
 
-import json
 import logging
 import shutil
 import threading
@@ -20,15 +19,20 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from rn_recorder_runs.files import Record, repair, write_json
-from rn_recorder_runs.incident import OpenIncident, cut
+from rn_recorder_runs.incident import OpenIncident, cut, to_incident
 from rn_recorder_runs.sink import Latched, Sink
-from rn_recorder_runs.store import RUN_FILE, RunStore
-from roboneuron import StateError
+from rn_recorder_runs.store import RUN_FILE, RunStore, read_facts
+from roboneuron import (
+    ForeignDataError,
+    StateError,
+    foreign,
+)
 
 log = logging.getLogger(__name__)
 SEGMENT_S = 5.0
 """Length of one file of the ring."""
 _CHECK_S = 1.0
+_MOST_BYTES = 1 << 22
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -115,11 +119,11 @@ class Recording:
         self.store.make()
         left = sorted(self.store.ring.glob("*.mcap"))
         for path in self.store.ring.glob("*.json"):
-            pending = json.loads(path.read_text(encoding="utf-8"))
-            incident = OpenIncident(
-                pending["id"], pending["at_ns"], pending["until_ns"], pending["facts"]
-            )
-            incident.kept_ns = int(pending.get("kept_ns", 0))
+            try:
+                incident = to_incident(foreign.read_json(path, most_bytes=_MOST_BYTES))
+            except ForeignDataError as error:  # the recording goes on without it
+                log.error("An incident of an earlier recorder is lost: %s.", error)
+                continue
             self._cut(incident, left)
         for run in self.store.runs():
             for path in run.files:
@@ -185,8 +189,8 @@ class Recording:
             folder.mkdir(mode=0o750, parents=True, exist_ok=True)
             known: dict[str, object] = {}
             if resumed:
-                with suppress(OSError, ValueError):
-                    known = json.loads((folder / RUN_FILE).read_text(encoding="utf-8"))
+                with suppress(OSError, ForeignDataError):
+                    known = foreign.table(read_facts(folder), RUN_FILE)
             begun = {
                 "name": name,
                 "begun_ns": self._clock_ns(),

@@ -8,7 +8,6 @@ quota, deletion.
 from __future__ import annotations
 
 import fcntl
-import json
 import logging
 import os
 import shutil
@@ -18,7 +17,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from roboneuron import InvalidInputError, StateError
+from roboneuron import (
+    ForeignDataError,
+    InvalidInputError,
+    StateError,
+    foreign,
+)
 
 log = logging.getLogger(__name__)
 RUN_FILE = "run.json"
@@ -274,8 +278,8 @@ class RunStore:
         for folder in self.recordings.glob("*"):
             files = tuple(sorted(folder.glob("part-*.mcap")))
             facts: dict[str, object] = {}
-            with suppress(OSError, ValueError):
-                facts = json.loads((folder / RUN_FILE).read_text(encoding="utf-8"))
+            with suppress(OSError, ForeignDataError):
+                facts = foreign.table(read_facts(folder), RUN_FILE)
             if files or facts:
                 yield Run(id=folder.name, kind="recording", files=files, facts=facts)
 
@@ -287,6 +291,21 @@ class RunStore:
                 yield Run(
                     id=path.stem, kind="incident", files=(path,), facts=dict(read_about(path))
                 )
+
+
+def read_facts(folder: Path) -> Any:
+    """The facts of a recording. Raises as `foreign.read_json`."""
+    return foreign.read_json(folder / RUN_FILE, most_bytes=1 << 22, has_constants=True)
+
+
+def decoded_event(text: str) -> dict[str, Any]:
+    """A recorded event or prediction.
+
+    Raises:
+        ForeignDataError: another program has written it.
+    """
+    found = foreign.decode_json(text, "a recorded event", most_bytes=1 << 24, has_constants=True)
+    return foreign.table(found, "a recorded event")
 
 
 def _size(path: Path) -> int:

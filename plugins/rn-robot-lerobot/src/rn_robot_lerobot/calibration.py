@@ -6,13 +6,16 @@ sentence and no arm moves.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from roboneuron import ConfigurationError
+from roboneuron import (
+    ConfigurationError,
+    ForeignDataError,
+    foreign,
+)
 
 STEPS = 4096
 """Encoder steps per turn."""
@@ -58,10 +61,10 @@ def read_calibration(
     """
     hint = f"Make it with: {calibrate}"
     try:
-        told = json.loads(path.read_text(encoding="utf-8"))
+        told = foreign.read_json(path)
     except FileNotFoundError as error:
         raise ConfigurationError(f"There is no calibration {path}.", hint=hint) from error
-    except (OSError, ValueError) as error:
+    except ForeignDataError as error:
         raise ConfigurationError(f"The calibration {path} cannot be read: {error}.") from error
     if not isinstance(told, dict):
         raise ConfigurationError(f"The calibration {path} holds no motors.", hint=hint)

@@ -13,9 +13,16 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from rn_vla.decoding import TokenRequest
-from roboneuron import InvalidInputError, NotReadyError, UnsafeError
+from roboneuron import (
+    ForeignDataError,
+    InvalidInputError,
+    NotReadyError,
+    UnsafeError,
+    foreign,
+)
 
 I64 = NDArray[np.int64]
+_MOST_BYTES = 1 << 24
 UNUSABLE_TOKEN = 0
 """Token that the served model decodes for non-finite logits."""
 _TIMES = {
@@ -83,9 +90,9 @@ def with_id(rid: str, body: bytes) -> bytes:
 def parse_object(raw: bytes, where: str) -> dict[str, object]:
     """The JSON object in `raw`. Raises MalformedReply."""
     try:
-        value = json.loads(raw)
-    except ValueError as error:
-        raise MalformedReply(f"{where} is not JSON but {_short(raw)}.") from error
+        value = foreign.decode_json(raw, where, most_bytes=_MOST_BYTES)
+    except ForeignDataError as error:
+        raise MalformedReply(f"{error}; it begins with {_short(raw)}.") from error
     if not isinstance(value, dict):
         raise MalformedReply(f"{where} is a {type(value).__name__}, expected an object.")
     return value
@@ -94,8 +101,8 @@ def parse_object(raw: bytes, where: str) -> dict[str, object]:
 def error_text(raw: bytes) -> str:
     """The server's error message, in any of its three forms."""
     try:
-        value = json.loads(raw)
-    except ValueError:
+        value = foreign.decode_json(raw, "an error")
+    except ForeignDataError:
         return _short(raw)
     if isinstance(value, dict):
         error = value.get("error", value.get("message", value))

@@ -19,7 +19,11 @@ from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 from rn_simulation.cubes import RGBA_BY_COLOUR, Cube
 from rn_simulation.engine import ENGINES, Engine
 from rn_simulation.ground_truth import CubeState
-from roboneuron import InvalidInputError
+from roboneuron import (
+    ForeignDataError,
+    InvalidInputError,
+    foreign,
+)
 
 F64 = NDArray[np.float64]
 
@@ -28,6 +32,8 @@ HANDED_OVER_TOPIC = "sim/handed_over"
 """std_msgs/Float64: time since the handover of a cube [s]; in cells with several arms."""
 _NANOSECONDS = 1_000_000_000
 _POSE_SIZE = 7
+_MOST_LABEL = 65_536
+_FAR_S = 1e12
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -98,12 +104,19 @@ def from_message(message: Float64MultiArray, joint_counts: Mapping[str, int]) ->
         InvalidInputError: another kind of message, another robot, or non-finite values.
     """
     try:
-        described = json.loads(message.layout.dim[0].label)
-        robot = str(described["robot"])
-        engine = ENGINES[ENGINES.index(described["engine"])]
-        seed = int(described["seed"])
-        cubes = tuple((str(name), float(edge_m)) for name, edge_m in described["cubes"])
-    except (IndexError, KeyError, TypeError, ValueError) as error:
+        label = message.layout.dim[0].label if message.layout.dim else ""
+        described = foreign.decode_json(label, "the label", most_bytes=_MOST_LABEL)
+        robot = foreign.text(foreign.field(described, "robot"), "robot")
+        named = foreign.choice(foreign.field(described, "engine"), "engine", ENGINES)
+        engine = ENGINES[ENGINES.index(named)]
+        seed = foreign.integer(foreign.field(described, "seed"), "seed")
+        listed = foreign.items(foreign.field(described, "cubes"), "cubes", most=256)
+        pairs = [foreign.items(pair, "a cube", least=2, most=2) for pair in listed]
+        cubes = tuple(
+            (foreign.text(name, "a cube"), foreign.number(edge_m, "an edge", 0.0))
+            for name, edge_m in pairs
+        )
+    except ForeignDataError as error:
         raise InvalidInputError(
             f"A message on {TOPIC!r} does not describe a scene: {error}."
         ) from error
@@ -115,7 +128,8 @@ def from_message(message: Float64MultiArray, joint_counts: Mapping[str, int]) ->
     values = np.array(message.data, dtype=np.float64)
     count = joint_counts[robot]
     expected = 2 + count + _POSE_SIZE * len(cubes)
-    if values.shape != (expected,) or not np.isfinite(values).all():
+    is_finite = np.isfinite(values).all() and (np.abs(values[:2]) < _FAR_S).all()
+    if values.shape != (expected,) or not is_finite:
         raise InvalidInputError(
             f"A message on {TOPIC!r} holds {values.size} values, expected {expected} finite ones."
         )

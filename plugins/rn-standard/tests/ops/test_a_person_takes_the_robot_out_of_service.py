@@ -140,7 +140,7 @@ def test_a_file_that_cannot_be_read_counts_as_out_of_service(tmp_path: Path, tex
     (tmp_path / FILE_NAME).write_text(text)
     state = MaintenanceFile(tmp_path).read()
     assert state is not None
-    assert "cannot be read" in str(state)
+    assert "damaged" in str(state)
 
 
 def run(*arguments: str) -> int:

@@ -95,13 +95,13 @@ def test_the_endpoint_sees_what_the_monitor_sees(monkeypatch: pytest.MonkeyPatch
 @pytest.mark.parametrize(
     ("answer", "text"),
     [
-        (says(success=float("nan")), "success is nan"),
+        (says(success=float("nan")), "NaN is no number"),
         (says(success=7), "success is 7"),
         (says(success=True), "success is True"),
-        (says(success=0.5, progress="half"), "progress is half"),
-        (says(progress=0.5), "has no success"),
-        (lambda question: (200, b"[0.9]"), "has no success"),
-        (lambda question: (200, b"it is done"), "JSONDecodeError"),
+        (says(success=0.5, progress="half"), "progress is 'half'"),
+        (says(progress=0.5), "'success' is missing"),
+        (lambda question: (200, b"[0.9]"), "is no table"),
+        (lambda question: (200, b"it is done"), "no valid JSON"),
         (lambda question: (200, b" " * 100_000), "65537 bytes"),
         (lambda question: (503, b"busy"), "status 503"),
         (lambda question: (307, b""), "status 307"),

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-import json
 from bisect import bisect_right
 from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any, TypeVar
 
+from rn_recorder_runs.files import Record
 from rn_recorder_runs.timeline import Timeline
 from rn_view.diagnostics.event_list import EventList, ShownEvent, add_record, shown_arguments
 from rn_view.recordings.playback import Mark
 from rn_view.sources.source import chosen_plugin
+from roboneuron import ForeignDataError, foreign
 from roboneuron.command import FAULTS
 
 T = TypeVar("T", bound=tuple[Any, ...])
@@ -41,17 +42,15 @@ class RunLog:
         marks: list[Mark] = []
         for topic in (EVENTS, AUDIT):
             for record in timeline.between(topic, -1, timeline.end_ns):
-                with suppress(ValueError):  # written by another program
-                    told = json.loads(timeline.decode(record).data)
+                with suppress(ValueError, ForeignDataError):  # written by another program
+                    told = _decoded(timeline, record)
                     (self._add_event if topic == EVENTS else self._add_verdict)(
                         told, record.log_ns, marks
                     )
         topic = next((topic for topic in timeline.topics if topic.endswith("/predictions")), "")
         for record in timeline.between(topic, -1, timeline.end_ns):
-            with suppress(ValueError):
-                self._add_instruction(
-                    json.loads(timeline.decode(record).data), record.log_ns, marks
-                )
+            with suppress(ValueError, ForeignDataError):
+                self._add_instruction(_decoded(timeline, record), record.log_ns, marks)
         self.marks = sorted(marks, key=lambda mark: mark.at_s)
         self._sorted = sorted(self._lines.newest(10**9), key=lambda event: event.at_s)
         self._times_ns = [round(event.at_s / _NS) for event in self._sorted]
@@ -86,11 +85,11 @@ class RunLog:
         what, module = told.get("what"), str(told.get("module", ""))
         text, is_bad = "", False
         if what == "call":
-            at_ns = int(told.get("at_ns", at_ns))
+            at_ns = foreign.integer(told.get("at_ns", at_ns), "at_ns")
             is_bad = bool(told.get("error"))
             result = (
                 f"{told['error'] if is_bad else 'done'}, "
-                f"{float(told.get('took_ms', 0.0)) / 1e3:.2f} s"
+                f"{foreign.number(told.get('took_ms', 0.0), 'took_ms') / 1e3:.2f} s"
             )
             text = f"{told.get('tool')}({shown_arguments(told.get('arguments'))}): {result}"
         elif what == "health":
@@ -100,7 +99,7 @@ class RunLog:
             self._health.setdefault(module, []).append((at_ns, health, why if is_bad else ""))
             text = f"{module}: {health}{f': {why}' if is_bad else ''} (was {told.get('before')})"
         elif what == "change":
-            named = chosen_plugin(told.get("names") or {})
+            named = chosen_plugin(foreign.table(told.get("names") or {}, "names"))
             self._chosen.setdefault(module, []).append((at_ns, named))
             return
         elif what == "fault":
@@ -137,6 +136,12 @@ class RunLog:
 
     def _mark(self, at_ns: int, text: str, marks: list[Mark]) -> None:
         marks.append(Mark(at_s=max(0.0, (at_ns - self._begin_ns) * _NS), text=text))
+
+
+def _decoded(timeline: Timeline, record: Record) -> dict[str, Any]:
+    what = f"a message on {record.topic}"
+    found = foreign.decode_json(timeline.decode(record).data, what, has_constants=True)
+    return foreign.table(found, what)
 
 
 def _newest(rows: list[T], at_ns: int) -> T | None:

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import threading
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
-
-from pydantic import ValidationError
 
 from rn_recorder_runs.episodes import stamp_of
 from rn_recorder_runs.files import Record
@@ -21,7 +18,13 @@ from rn_view.diagnostics.event_list import ShownEvent
 from rn_view.recordings.playback import Playback
 from rn_view.sources.source import MODULE_KINDS, ModuleRow, PageState, module_row, robot_profile
 from rn_view_recorded.log import RunLog
-from roboneuron import InvalidInputError, RobotProfile, StateError
+from roboneuron import (
+    ForeignDataError,
+    InvalidInputError,
+    RobotProfile,
+    StateError,
+    foreign,
+)
 from roboneuron.command import Config, ModuleView, Periodic, Registry, Report
 
 log = logging.getLogger(__name__)
@@ -250,8 +253,9 @@ def _recorded_config(about: dict[str, str], config: Config) -> Config:
         InvalidInputError: the run does not name its robot either.
     """
     try:
-        found = Config.model_validate(json.loads(about["config"]))
-    except (KeyError, ValueError, ValidationError):
+        told = foreign.decode_json(about["config"], "the configuration", has_constants=True)
+        found = foreign.to_model(Config, told, "the configuration")
+    except (KeyError, ForeignDataError):
         if "robot" not in about:
             raise InvalidInputError("The run does not name its robot.") from None
         log.warning(

@@ -7,12 +7,15 @@ import os
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from roboneuron import foreign
+from roboneuron.errors import ForeignDataError
+
 ESTOP_FILE = "emergency_stop.latched"
 """Name of the latch in the state directory."""
 RESET_SUFFIX = ".reset"
 """Added to the latch's name by a reset."""
-_MAX_CHARACTERS = 16_384
-"""Characters read from the file: JSON needs up to 12 for each of the 700 of a cause."""
+_MAX_BYTES = 16_384
+"""Bytes read from the file: JSON needs up to 12 for each of the 700 of a cause."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -39,16 +42,17 @@ class LatchState:
 def read_cause(path: Path) -> LatchState:
     """Read the cause from the file. Any user may have written it, so every part is optional."""
     try:
-        with path.open(encoding="utf-8", errors="replace") as file:
-            content = json.loads(file.read(_MAX_CHARACTERS))
+        # a person may have written it in another encoding
+        told = foreign.read_bytes(path, most_bytes=_MAX_BYTES).decode("utf-8", "replace")
+        content = foreign.table(foreign.decode_json(told, ESTOP_FILE), ESTOP_FILE)
         return LatchState(
             latched=True,
-            who=str(content["who"])[:200],
-            reason=str(content["reason"])[:500],
-            time_ns=int(content["time_ns"]),
-            restored=int(content.get("restored", 0)),
+            who=foreign.text(content.get("who"), "who", _MAX_BYTES)[:200],
+            reason=foreign.text(content.get("reason"), "reason", _MAX_BYTES)[:500],
+            time_ns=foreign.integer(content.get("time_ns"), "time_ns"),
+            restored=foreign.integer(content.get("restored", 0), "restored"),
         )
-    except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError):
+    except (FileNotFoundError, ForeignDataError):
         return LatchState(latched=True)
 
 

@@ -16,7 +16,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from roboneuron.errors import InvalidInputError, RefusedError
+from roboneuron import foreign
+from roboneuron.errors import ForeignDataError, InvalidInputError, RefusedError
 from roboneuron.gate import AuditLog, AuditRecord
 from roboneuron.log_files import locked, make_log_directory
 
@@ -112,11 +113,12 @@ class ReleasePin:
     def _attempt(self, pin: str) -> str:
         """Reason to refuse the PIN; empty if it is correct. The file's lock is held."""
         try:
-            known = json.loads(self.path.read_text(encoding="utf-8"))
-            salt, right = bytes.fromhex(known["salt"]), str(known["hash"])
-            failures = int(known["failures"])
-            wait_s = float(known["not_before_s"]) - self._clock_s()
-        except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError):
+            known = foreign.table(foreign.read_json(self.path), FILE_NAME)
+            salt = foreign.octets(known.get("salt"), "salt")
+            right = foreign.text(known.get("hash"), "hash")
+            failures = foreign.integer(known.get("failures"), "failures", 0)
+            wait_s = foreign.number(known.get("not_before_s"), "not_before_s") - self._clock_s()
+        except (FileNotFoundError, ForeignDataError):
             return f"the file of the PIN, {self.path}, cannot be read."
         # a longer one was written before the clock was set back: it would lock people out
         if 0.0 < wait_s <= _MOST_WAIT_S:

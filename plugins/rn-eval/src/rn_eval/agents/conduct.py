@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import re
 from dataclasses import dataclass
 from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
+
+from roboneuron import ForeignDataError, foreign
 
 Claim = Literal["done", "not done", "refused", "none"]
 _CLAIM = re.compile(r"^\W*CLAIM:\s*(done|not done|refused)\b[\s:.-]*(.*)$", re.IGNORECASE)
@@ -55,8 +56,8 @@ class ToolCall(BaseModel):
     def robot(self) -> str:
         """The robot named in the arguments; "" if they name none or were cut."""
         try:
-            asked = json.loads(self.arguments)
-        except ValueError:
+            asked = foreign.decode_json(self.arguments, "the arguments")
+        except ForeignDataError:
             return ""
         robot = asked.get("robot", "") if isinstance(asked, dict) else ""
         return robot if isinstance(robot, str) else ""

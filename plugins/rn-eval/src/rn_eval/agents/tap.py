@@ -22,7 +22,11 @@ from rn_eval.agents.conduct import ToolCall
 from rn_eval.agents.http_tap import HttpTap
 from rn_eval.agents.sign import with_sign
 from rn_eval.agents.tokens import ReadTexts
-from roboneuron import StateError
+from roboneuron import (
+    ForeignDataError,
+    StateError,
+    foreign,
+)
 
 _CHUNK = 65536
 _MOST_LINE_BYTES = 32 * 1024 * 1024
@@ -297,8 +301,8 @@ class ServerTap:
 def _message(line: bytes) -> Json | None:
     """Parse a line of either side; None if it is no JSON object."""
     try:
-        message = json.loads(line)
-    except (ValueError, RecursionError):
+        message = foreign.decode_json(line, "a line", most_bytes=_MOST_LINE_BYTES)
+    except ForeignDataError:
         return None
     return message if isinstance(message, dict) else None
 

@@ -74,12 +74,12 @@ class CallCommand:
 
 
 def _parse(text: str) -> dict[str, object]:
-    from roboneuron import ConfigurationError
+    from roboneuron import ConfigurationError, ForeignDataError, foreign
 
     try:
-        value = json.loads(text)
-    except json.JSONDecodeError as error:
-        raise ConfigurationError(f"The arguments {text[:80]!r} are not JSON: {error}.") from error
+        value = foreign.decode_json(text, f"The text {text[:80]!r}")
+    except ForeignDataError as error:
+        raise ConfigurationError(f"{error}.") from error
     if not isinstance(value, dict):
         raise ConfigurationError(
             f"The arguments {text[:80]!r} are not a JSON object.", hint="Write '{}' for none."

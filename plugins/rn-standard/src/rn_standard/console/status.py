@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from roboneuron import ForeignDataError, foreign
 from roboneuron.command import FAULTS, Health, Report
 
 
@@ -132,10 +132,13 @@ def simulated_objects(robot: ReportedModule | None) -> dict[str, SimulatedObject
     found: dict[str, SimulatedObject] = {}
     for text in robot.detail.values() if robot is not None else ():
         try:
-            table = json.loads(text) if text.startswith("{") else {}
+            table = foreign.decode_json(text, "a detail") if text.startswith("{") else {}
             found.update(
-                {name: SimulatedObject.model_validate(facts) for name, facts in table.items()}
+                {
+                    name: foreign.to_model(SimulatedObject, facts, "an object")
+                    for name, facts in table.items()
+                }
             )
-        except ValueError:  # a detail about something else
+        except ForeignDataError:  # a detail about something else
             continue
     return found

@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from rn_standard.console import connection
+from roboneuron import ForeignDataError, foreign
 
 _FILE = "up.json"
 _DOWN_S = 60.0
@@ -95,10 +96,11 @@ def keeper(path: Path) -> int | None:
             try:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
-                return int(json.load(file)["pid"])
+                told = foreign.decode_json(file.read(4096), path.name)
+                return foreign.integer(foreign.field(told, "pid"), "pid", 1)
     except FileNotFoundError:
         pass
-    except (ValueError, KeyError):  # it is being written
+    except ForeignDataError:  # it is being written
         time.sleep(_LOOK_S)
         return keeper(path)
     return None

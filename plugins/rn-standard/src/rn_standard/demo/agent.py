@@ -5,7 +5,6 @@ answers.
 from __future__ import annotations
 
 import base64
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -14,7 +13,7 @@ from mcp import Client
 from mcp.types import ImageContent, TextContent
 
 from rn_standard.demo.pace import MachinePace
-from roboneuron import NotReadyError
+from roboneuron import NotReadyError, foreign
 
 _CALL_TIMEOUT_S = 180.0
 
@@ -95,8 +94,12 @@ def module_status(status: Mapping[str, Any], name: str) -> dict[str, Any]:
 def simulated_objects(status: Mapping[str, Any]) -> list[DemoObject]:
     """The simulator's report on its objects; empty for a robot without one."""
     detail = module_status(status, "robot").get("detail") or {}
-    objects = json.loads(detail.get("cubes", "{}"))
+    objects = foreign.table(foreign.decode_json(detail.get("cubes", "{}"), "cubes"), "cubes")
     return [
-        DemoObject(name=name, lifted_m=float(facts["lifted_m"]), held_s=float(facts["held_s"]))
+        DemoObject(
+            name=name,
+            lifted_m=foreign.number(foreign.field(facts, "lifted_m"), "lifted_m"),
+            held_s=foreign.number(foreign.field(facts, "held_s"), "held_s"),
+        )
         for name, facts in objects.items()
     ]

@@ -14,11 +14,13 @@ from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
+from roboneuron import ForeignDataError, foreign
 from roboneuron.feature import log_files
 
 log = logging.getLogger(__name__)
 FOLDER = "incidents"
 _KEPT = 200
+_MOST_BYTES = 1 << 24
 _AGAIN_S = 5.0
 """Time within which the same recurring fault of the same module is one incident."""
 
@@ -85,8 +87,8 @@ class Incidents:
         found = []
         for path in self._files()[-most:][::-1]:
             try:
-                found.append(json.loads(path.read_text(encoding="utf-8")))
-            except (OSError, ValueError) as error:
+                found.append(foreign.read_json(path, most_bytes=_MOST_BYTES, has_constants=True))
+            except (OSError, ForeignDataError) as error:
                 log.warning("The incident record %s cannot be read: %s", path, error)
         return found
 

@@ -20,7 +20,16 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from roboneuron import CallContext, Feature, Host, RefusedError, StateError, Tool
+from roboneuron import (
+    CallContext,
+    Feature,
+    ForeignDataError,
+    Host,
+    RefusedError,
+    StateError,
+    Tool,
+    foreign,
+)
 from roboneuron.feature import AuditLog, AuditRecord, Periodic, Role
 
 log = logging.getLogger(__name__)
@@ -28,7 +37,8 @@ NAME = "maintenance"
 FILE_NAME = "maintenance.json"
 _LOOK_S = 0.2
 _MOST_TEXT = 300
-_MOST_BYTES = 65_536
+_YEAR_9999_S = 253_370_764_800.0
+"""A later time is no date for Python."""
 _ALLOWED = ("take_over", "heartbeat", "label_recording", "stop_recording")
 """Tools that act on no robot."""
 
@@ -62,18 +72,21 @@ class MaintenanceFile:
         service.
         """
         try:
-            with self.path.open(encoding="utf-8") as file:
-                told = json.loads(file.read(_MOST_BYTES))
-            since_s = float(told["since_s"])
+            told = foreign.read_json(self.path)
             return OutOfService(
-                who=str(told["who"])[:_MOST_TEXT],
-                reason=str(told["reason"])[:_MOST_TEXT],
-                since_s=since_s,
+                who=foreign.text(foreign.field(told, "who"), "who", _MOST_TEXT),
+                reason=foreign.text(foreign.field(told, "reason"), "reason", _MOST_TEXT),
+                since_s=foreign.number(
+                    foreign.field(told, "since_s"), "since_s", 0.0, _YEAR_9999_S
+                ),
             )
         except FileNotFoundError:
             return None
-        except (OSError, ValueError, KeyError, TypeError) as error:
-            reason = f"{FILE_NAME} cannot be read ({type(error).__name__})"
+        except ForeignDataError as error:
+            reason = (
+                f"{self.path} is damaged ({str(error)[:100]}); look at the robot, then end the "
+                "maintenance, which removes the file"
+            )
             return OutOfService(who="somebody", reason=reason, since_s=0.0)
 
     def begin(self, who: str, role: str, reason: str, audit: AuditLog) -> OutOfService:

@@ -11,9 +11,17 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import IO
 
-from pydantic import Field, ValidationError
+from pydantic import Field
 
-from roboneuron import Arguments, CallContext, Resource, Result, Tool
+from roboneuron import (
+    Arguments,
+    CallContext,
+    ForeignDataError,
+    Resource,
+    Result,
+    Tool,
+    foreign,
+)
 
 FILE_NAME = "tasks.jsonl"
 TASKS_URI = "roboneuron://tasks/history"
@@ -129,8 +137,8 @@ class TaskHistory:
             lines = self._lines()[-KEPT:]
         for line in reversed(lines):
             try:
-                task = PastTask.model_validate_json(line)
-            except ValidationError:
+                task = foreign.decode_model(PastTask, line, "a past task")
+            except ForeignDataError:
                 continue
             if all(word in task.instruction.lower() for word in words):
                 found.append(task)

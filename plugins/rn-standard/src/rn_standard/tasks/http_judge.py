@@ -15,7 +15,14 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from rn_standard.tasks.monitor import Score
-from roboneuron import ConfigurationError, ConfigurationOnly, Frame, Observation
+from roboneuron import (
+    ConfigurationError,
+    ConfigurationOnly,
+    ForeignDataError,
+    Frame,
+    Observation,
+    foreign,
+)
 
 _MOST_BYTES = 65_536
 _MOST_TEXT = 200
@@ -77,8 +84,8 @@ class HttpJudge:
             "before": self._before,
         }
         try:
-            return _parsed(self._post(json.dumps(question).encode()))
-        except (OSError, http.client.HTTPException, ValueError) as error:
+            return parse_answer(self._post(json.dumps(question).encode()))
+        except (OSError, http.client.HTTPException, ValueError, ForeignDataError) as error:
             text = str(error).splitlines()[0][:_MOST_TEXT] if str(error) else ""
             return Score(value=None, reason=f"the endpoint: {type(error).__name__} {text}".strip())
 
@@ -114,24 +121,18 @@ class HttpJudge:
         ]
 
 
-def _parsed(data: bytes) -> Score:
-    answer = json.loads(data)
-    if not isinstance(answer, dict) or "success" not in answer:
-        raise ValueError("the answer has no success")
-    value, progress, failure = (_number(answer, n) for n in ("success", "progress", "failure"))
+def parse_answer(data: bytes) -> Score:
+    """The score in an endpoint's answer. Raises ForeignDataError."""
+    answer = foreign.table(foreign.decode_json(data, "the answer"), "the answer")
+    foreign.field(answer, "success")
+    value, progress, failure = (
+        foreign.optional_number(answer.get(name), name, 0.0, 1.0)
+        for name in ("success", "progress", "failure")
+    )
     reason = answer.get("reason")
     text = reason if isinstance(reason, str) and reason.strip() else "the endpoint gave no reason"
     text = " ".join(text.split())[:_MOST_TEXT].rstrip(".")
     return Score(value=value, reason=text, progress=progress, failure=failure)
-
-
-def _number(answer: dict[str, object], name: str) -> float | None:
-    value = answer.get(name)
-    if value is None:
-        return None
-    if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 <= value <= 1.0:
-        raise ValueError(f"{name} is {str(value)[:40]}, expected 0 .. 1 or null")
-    return float(value)
 
 
 def _jpeg(frame: Frame, side_px: int) -> str:

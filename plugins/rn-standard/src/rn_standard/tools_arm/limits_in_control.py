@@ -5,7 +5,11 @@ process.
 from __future__ import annotations
 
 from rn_standard.tools_arm.limit_reports import LimitReports
-from roboneuron import ConfigurationError
+from roboneuron import (
+    ConfigurationError,
+    ForeignDataError,
+    foreign,
+)
 from roboneuron.feature import models
 from roboneuron.node import HoldingModule, Module, ModuleHost, settings
 
@@ -62,6 +66,6 @@ class LimitsInForce:
         if not text:
             return self._control.config.limits
         try:
-            return models.LimitsConfig.model_validate_json(text)
-        except ValueError as error:
+            return foreign.decode_model(models.LimitsConfig, text, "the text")
+        except ForeignDataError as error:
             raise ConfigurationError(f"The limits are no valid [limits]: {error}") from error

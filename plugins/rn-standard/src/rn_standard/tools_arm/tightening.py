@@ -12,15 +12,21 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
-from roboneuron import ConfigurationError, InvalidInputError, RefusedError, RobotProfile
+from roboneuron import (
+    ConfigurationError,
+    ForeignDataError,
+    InvalidInputError,
+    RefusedError,
+    RobotProfile,
+    foreign,
+)
 from roboneuron.feature import models, motion_rules
 
 FILE_NAME = "limits.tightened.json"
 _MOST_ZONES = 16
 _FAR_M = 100.0
-_MAX_BYTES = 65536
 _AXES = ("x", "y", "z")
 Metres = Annotated[float, Field(ge=-_FAR_M, le=_FAR_M)]
 Corner = Annotated[list[Metres], Field(min_length=3, max_length=3)]
@@ -135,17 +141,19 @@ class TighteningFile:
             ConfigurationError: it cannot be read; names a remedy.
         """
         try:
-            with self.path.open(encoding="utf-8") as file:
-                told = json.loads(file.read(_MAX_BYTES))
-            tightening = Tightening.model_validate(told["tightened"])
+            told = foreign.read_json(self.path)
             return TightenedRecord(
-                tightening=tightening, who=str(told["who"])[:200], at_ns=int(told["at_ns"])
+                tightening=foreign.to_model(
+                    Tightening, foreign.field(told, "tightened"), FILE_NAME
+                ),
+                who=foreign.text(foreign.field(told, "who"), "who", 200),
+                at_ns=foreign.integer(foreign.field(told, "at_ns"), "at_ns"),
             )
         except FileNotFoundError:
             return None
-        except (OSError, ValueError, KeyError, TypeError, ValidationError) as error:
+        except ForeignDataError as error:
             raise ConfigurationError(
-                f"The tightened limits in {self.path} cannot be read: {type(error).__name__}.",
+                f"The tightened limits in {self.path} cannot be read: {error}.",
                 hint="A person writes them anew: roboneuron limits --loosen.",
             ) from error
 

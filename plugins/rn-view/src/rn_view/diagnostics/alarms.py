@@ -14,7 +14,11 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
-from roboneuron import InvalidInputError
+from roboneuron import (
+    ForeignDataError,
+    InvalidInputError,
+    foreign,
+)
 from roboneuron.feature import AuditLog, AuditRecord
 
 log = logging.getLogger(__name__)
@@ -22,6 +26,7 @@ FILE_NAME = "alarms.json"
 KEPT = 200
 """Maximum number. Beyond it the oldest acknowledged alarm is deleted, or else the oldest."""
 _MOST_TEXT = 300
+_MOST_BYTES = 1 << 22
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -215,12 +220,13 @@ class AlarmBook:
 
     def _read(self) -> None:
         try:
-            told = json.loads(self._path.read_text(encoding="utf-8"))
-            found = [Alarm(**alarm) for alarm in told["alarms"]][-self._kept :]
-            self.seen_ns = int(told["seen_ns"])
+            told = foreign.read_json(self._path, most_bytes=_MOST_BYTES)
+            listed = foreign.items(foreign.field(told, "alarms"), "alarms", most=100_000)
+            found = [foreign.to_dataclass(Alarm, one, "an alarm") for one in listed[-self._kept :]]
+            self.seen_ns = foreign.integer(foreign.field(told, "seen_ns"), "seen_ns")
         except FileNotFoundError:
             return
-        except (OSError, ValueError, TypeError, KeyError) as error:
+        except ForeignDataError as error:
             log.error(
                 "Cannot read the alarms in %s; starting with an empty list: %s", self._path, error
             )

@@ -15,6 +15,8 @@ from typing import Any, Protocol
 
 from mcp.server.context import CallNext, HandlerResult, ServerRequestContext
 
+from roboneuron import ForeignDataError, foreign
+
 _KEPT = 300
 _MOST_TEXT = 300
 _FIRST_BYTES = 16_384
@@ -190,8 +192,8 @@ class AuditReader:
 def _record(line: bytes) -> dict[str, object] | None:
     """Parse a line; None for a truncated line and for anything else that is not an audit record."""
     try:
-        record = json.loads(line)
-    except ValueError:
+        record = foreign.decode_json(line, "a line of the audit")
+    except ForeignDataError:
         return None
     return record if isinstance(record, dict) and "verdict" in record else None
 
@@ -207,4 +209,6 @@ def add_record(events: EventList, record: dict[str, Any]) -> None:
     text += f", {record['who']}" if record.get("who") else ""
     text += f": {record['reason']}" if record.get("reason") else ""
     is_bad = record.get("verdict") in ("refused", "latched", "held", "lapsed")
-    events.add("gate", text, is_bad=is_bad, at_s=float(record.get("time_ns", 0)) / 1e9)
+    time_ns = record.get("time_ns", 0)
+    at_s = time_ns / 1e9 if isinstance(time_ns, int | float) else 0.0
+    events.add("gate", text, is_bad=is_bad, at_s=at_s)

@@ -21,7 +21,13 @@ from websockets.exceptions import ConnectionClosed
 
 from rn_standard.teleoperation.samples import LeadFeedback, LeadSample, Subscribe
 from rn_view.teleoperation.stick_panel import RATE_HZ, SOCKET_PATH
-from roboneuron import InvalidInputError, NotReadyError, RoboNeuronError
+from roboneuron import (
+    ForeignDataError,
+    InvalidInputError,
+    NotReadyError,
+    RoboNeuronError,
+    foreign,
+)
 
 log = logging.getLogger(__name__)
 Call = Callable[[str, dict[str, object]], "Future[str]"]
@@ -133,26 +139,32 @@ class PageTeleoperator:
         with self._news:
             try:
                 self._sample = self._sample_of(told, now_s)
-            except (KeyError, TypeError, ValueError) as error:
-                text = f"The page has sent an invalid sample ({type(error).__name__})"
+            except ForeignDataError as error:
+                text = f"The page has sent an invalid sample ({error})"
                 self._error = InvalidInputError(f"{text}; the arm rests.", hint="Reload the page.")
             self._news.notify_all()
 
     def _sample_of(self, told: dict[str, Any], now_s: float) -> LeadSample:
         """Convert a message, with its time on our monotonic clock."""
-        sent_s = _number(told["t"])
-        offset_s = self._offset.after(sent_s, now_s)
+        sent_s = _number(foreign.field(told, "t"), "t")
         joint, grip = told.get("joint"), told.get("grip")
-        velocities = {} if joint is None else {str(joint[0]): _number(joint[1])}
-        twist = None if joint is not None else np.array([_number(v) for v in told["twist"]])
+        velocities, twist = {}, None
+        if joint is not None:
+            name, speed = foreign.items(joint, "joint", least=2, most=2)
+            velocities = {foreign.text(name, "joint"): _number(speed, "joint")}
+        else:
+            values = foreign.items(foreign.field(told, "twist"), "twist", least=6, most=6)
+            twist = np.array([_number(value, "twist") for value in values])
+        number = foreign.integer(foreign.field(told, "n"), "n")
+        offset_s = self._offset.after(sent_s, now_s)
         return LeadSample(
-            number=int(told["n"]),
+            number=number,
             at_s=sent_s + offset_s,
-            is_held=told["held"] is True,
+            is_held=told.get("held") is True,
             twist=twist,
             frame="tool" if told.get("tool") is True else "base",
             velocities=velocities,
-            gripper_open=None if grip is None else _number(grip),
+            gripper_open=None if grip is None else _number(grip, "grip"),
         )
 
 
@@ -239,12 +251,11 @@ class _LeadSocket:
                 await connection.close(_FLOODED, "Too many messages.")
                 return
             try:
-                told = json.loads(message)
-            except ValueError:
-                told = None
-            if not isinstance(told, dict):
+                told = foreign.table(foreign.decode_json(message, "a message"), "a message", 16)
+            except ForeignDataError:
                 self.source.put({}, now_s)
-            elif "begin" in told:
+                continue
+            if "begin" in told:
                 self._begin(told["begin"])
             elif "back" in told:
                 self._ask("hand_back", {})
@@ -322,12 +333,6 @@ class _LeadSocket:
             log.debug("The page %s has disconnected while receiving.", self._name)
 
 
-def _number(value: object) -> float:
-    """Number from JSON; null is NaN, because JavaScript writes NaN as null. Raises TypeError for
-    other types.
-    """
-    if value is None:
-        return math.nan
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise TypeError(type(value).__name__)
-    return float(value)
+def _number(value: object, what: str) -> float:
+    """Number from JSON; null is NaN, because JavaScript writes NaN as null."""
+    return math.nan if value is None else foreign.number(value, what)

@@ -4,7 +4,6 @@ the limits of control.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -12,12 +11,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from roboneuron import ACTION_LABEL, channel_keys
+from roboneuron import (
+    ACTION_LABEL,
+    ForeignDataError,
+    InvalidInputError,
+    channel_keys,
+    foreign,
+)
 
 F64 = NDArray[np.float64]
 Forward = Callable[[Mapping[str, float]], Mapping[str, F64]]
 """Joint positions by name -> pose (4, 4) of the TCP of each arm."""
 _MOST_ROWS = 256
+_MOST_READ = 4096
 _MOST_POSTURES = 16
 """Each takes about a millisecond."""
 _KEPT_S = 1.0
@@ -50,24 +56,38 @@ class PlannedChunk:
         for any other text.
         """
         try:
-            told = json.loads(text)
-            rows = np.array(told["rows"][:_MOST_ROWS], dtype=np.float64)
-            arms = {name: arm["position_m"] for name, arm in told.get("arms", {}).items()}
+            told = foreign.table(foreign.decode_json(text, "a prediction"), "a prediction")
+            label = foreign.text(told.get("space"), "space", 4096)
+            width = len(channel_keys(label))
+            rows = [
+                foreign.numbers(row, "a row", width)
+                for row in foreign.items(told.get("rows"), "rows", most=_MOST_READ)
+            ]
+            arms = foreign.table(told.get("arms") or {}, "arms", 8)
             if not arms and told.get("ee_pose"):
-                arms = {"": told["ee_pose"]["position_m"]}
-            joints = told.get("joints") or {"names": (), "position": ()}
+                arms = {"": told["ee_pose"]}
+            joints = told.get("joints") or {"names": [], "position": []}
+            names = foreign.items(foreign.field(joints, "names"), "names", most=256)
             chunk = cls(
                 at_s=at_s,
-                label=str(told["space"]),
-                rows=rows,
-                step_s=float(told["step_s"]),
-                starts_m={name: np.array(at, dtype=np.float64) for name, at in arms.items()},
-                joints=dict(zip(joints["names"], joints["position"], strict=True)),
+                label=label,
+                rows=np.array(rows[:_MOST_ROWS], dtype=np.float64).reshape(-1, width),
+                step_s=foreign.number(told.get("step_s"), "step_s", 0.0),
+                starts_m={
+                    name: np.array(foreign.numbers(foreign.field(arm, "position_m"), name, 3))
+                    for name, arm in arms.items()
+                },
+                joints=dict(
+                    zip(
+                        [foreign.text(name, "a joint") for name in names],
+                        foreign.numbers(foreign.field(joints, "position"), "position", len(names)),
+                        strict=True,
+                    )
+                ),
             )
-        except (ValueError, KeyError, TypeError, AttributeError):
+        except (ForeignDataError, InvalidInputError):
             return None
-        is_whole = rows.ndim == 2 and rows.shape[1] == len(channel_keys(chunk.label))
-        return chunk if is_whole and np.isfinite(rows).all() else None
+        return chunk
 
     def is_over(self, now_s: float) -> bool:
         """Whether its last row was due more than a second ago."""

@@ -15,7 +15,12 @@ import os
 from openai import AsyncOpenAI, OpenAIError
 
 from rn_eval.agents.client import Briefing, ToolAnswer, ToolClient
-from roboneuron import ConfigurationError, NotReadyError
+from roboneuron import (
+    ConfigurationError,
+    ForeignDataError,
+    NotReadyError,
+    foreign,
+)
 
 MODEL = "AGENT_EVAL_MODEL"
 """Environment variable: the model's name."""
@@ -78,11 +83,10 @@ async def act(tools: ToolClient, briefing: Briefing) -> str:
 async def _call(tools: ToolClient, name: str, text: str) -> ToolAnswer:
     """Execute the model's call; arguments that are no JSON object are returned as an error."""
     try:
-        arguments = json.loads(text or "{}")
-    except ValueError as error:
-        return ToolAnswer(ok=False, code="invalid_input", text=f"Arguments are no JSON: {error}")
-    if not isinstance(arguments, dict):
-        return ToolAnswer(ok=False, code="invalid_input", text="Arguments are no JSON object.")
+        found = foreign.decode_json(text or "{}", "The text of the arguments")
+        arguments = foreign.table(found, "The arguments")
+    except ForeignDataError as error:
+        return ToolAnswer(ok=False, code="invalid_input", text=f"{error}.")
     return await tools.call_with(name, arguments)
 
 

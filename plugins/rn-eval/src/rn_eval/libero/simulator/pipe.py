@@ -22,6 +22,7 @@ MOST_HEADER_BYTES = 64 * 1024
 MOST_PAYLOAD_BYTES = 32 * 1024 * 1024
 _LENGTHS = struct.Struct("<II")
 _DTYPES = ("|u1", "<f8")
+_BAD_VALUES = (ValueError, OverflowError, RecursionError)
 _SCALARS: dict[str, type] = {"str": str, "int": int, "bool": bool}
 
 F64 = NDArray[np.float64]
@@ -171,7 +172,8 @@ def receive(read: Callable[[int], bytes]) -> Message:
             values[name] = np.frombuffer(payload[at : at + size], dtype=dtype).reshape(shape)
             at += size
         return _checked(_KINDS[parsed["kind"]], values, at, len(payload))
-    except (ValueError, KeyError, TypeError) as error:
+    # not the core's decoder: the simulator's environment does not have it
+    except (LookupError, TypeError, AttributeError, *_BAD_VALUES) as error:
         raise PipeError(f"A message could not be read: {type(error).__name__}: {error}.") from error
 
 
