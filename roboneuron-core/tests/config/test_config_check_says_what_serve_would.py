@@ -95,11 +95,6 @@ def check(tmp_path: Path, text: str) -> int:
     [
         ('[robot]\nname = "no-such-robot"\n', "no robot 'no-such-robot'"),
         (
-            '[robot]\nname = "fr3"\n[[expose]]\nname = "x"\nkind = "read"\ntopic = "t"\ntype = '
-            '"std_msgs/msg/Nope"\n',
-            "std_msgs/msg/Nope",
-        ),
-        (
             '[robot]\nname = "fr3"\n[server]\ntransport = "htpt"\n',
             "transport = 'htpt': There is no feature 'htpt'.",
         ),

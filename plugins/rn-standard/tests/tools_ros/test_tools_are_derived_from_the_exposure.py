@@ -132,10 +132,6 @@ BAD = [
         "is not a topic name",
     ),
     (
-        '[[expose]]\nname = "v"\nkind = "publish"\ntopic = "x"\ntype = "std_msgs/msg/Nothing"\n',
-        "is called",
-    ),
-    (
         '[[expose]]\nname = "v"\nkind = "service"\ntopic = "x"\ntype = "std_msgs/msg/Bool"\n',
         "cannot be of",
     ),

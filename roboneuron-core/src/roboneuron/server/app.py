@@ -149,6 +149,11 @@ class Application:
         transport_feature(self.loop.base.server.transport, self.loop.registry)
         self.features.each("used", lambda feature: feature.check(self.loop.base))
 
+    @property
+    def omitted(self) -> list[str]:
+        """What of the configuration is left out, a sentence each."""
+        return self.features.omitted
+
     def listen(self, wire: tuple[int, int]) -> Transport:
         """Start listening for clients; for `wire` see `Host`."""
         return self.features.listen(replace(self.host, wire=wire))

@@ -53,6 +53,13 @@ class Feature(Generic[OptionsT]):
         """True if it moves a robot now, outside the closed loop."""
         return False
 
+    @property
+    def omitted(self) -> Sequence[str]:
+        """What of its configuration cannot be used and is left out, a sentence each; for `config
+        check` and get_status. From any thread.
+        """
+        return ()
+
     def check(self, config: Config) -> None:
         """Check what the options alone do not show (files, environment); for `config check` and
         before `listen`.
@@ -155,6 +162,11 @@ class Features:
             for name in self.loaded
             if (reference := self._specs[name].on_join) is not None
         )
+
+    @property
+    def omitted(self) -> list[str]:
+        """What of the configuration all features leave out, a sentence each."""
+        return [reason for feature in self.loaded.values() for reason in feature.omitted]
 
     def listen(self, host: Host) -> Transport:
         """Let every feature reserve its resources, and the one of the configured transport listen.

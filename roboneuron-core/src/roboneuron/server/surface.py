@@ -96,6 +96,10 @@ class Served(Protocol):
     def server(self) -> AnnouncingServer:
         """The MCP server that every transport serves."""
 
+    @property
+    def omitted(self) -> list[str]:
+        """What of the configuration is left out, a sentence each."""
+
     def check(self) -> None:
         """See `Application.check`."""
 

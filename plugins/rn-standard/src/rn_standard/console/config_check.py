@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
@@ -15,7 +16,7 @@ class ConfigCheck:
 
     def run(self, arguments: Namespace) -> int:
         """Refuse what `roboneuron serve` would refuse at its start, except ports in use, which a
-        running server may hold.
+        running server may hold; and name what it would leave out, which gives 1.
         """
         from roboneuron.command import (
             check_configuration,
@@ -30,8 +31,13 @@ class ConfigCheck:
         served = make_served(config)  # derives the tools of [[expose]]
         try:
             served.check()
+            omitted = served.omitted
         finally:
             served.close()
+        for reason in omitted:
+            print(f"Left out: {reason}", file=sys.stderr)
+        if omitted:
+            return 1
         if config.robots:
             named = ", ".join(
                 f"{name} ({one.robot.name}, /{one.namespace})"

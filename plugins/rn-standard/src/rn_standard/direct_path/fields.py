@@ -5,20 +5,18 @@ type at import time.
 from __future__ import annotations
 
 import functools
-import importlib
 import math
 import re
 from array import array
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
-from importlib.util import find_spec
 from operator import attrgetter
-from pathlib import Path
 from typing import Any, TypeGuard, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rn_standard.direct_path.interface_class import UnusableTypeError, import_class
 from rn_standard.direct_path.message_types import MessageName, RosMessage
 from roboneuron import ConfigurationError, InvalidInputError
 
@@ -59,7 +57,8 @@ def load_type(name: str) -> Any:
     """Import the rosidl class "package/msg/Name", "package/srv/Name" or "package/action/Name".
 
     Raises:
-        ConfigurationError: the name has another format, or is not installed.
+        ConfigurationError: the name has another format.
+        UnusableTypeError: it is not installed, or as `import_class`.
     """
     parts = _TYPE_NAME.fullmatch(name)
     if parts is None:
@@ -67,13 +66,9 @@ def load_type(name: str) -> Any:
             f"{name[:120]!r}: write the type in full, package/msg/Name, srv or action."
         )
     package, kind, word = parts.groups()
-    spec = find_spec(package)  # only packages of interfaces are imported
-    folders = (spec.submodule_search_locations if spec is not None else None) or ()
-    found = None
-    if any((Path(folder) / kind / "__init__.py").is_file() for folder in folders):
-        found = getattr(importlib.import_module(f"{package}.{kind}"), word, None)
+    found = import_class(package, kind, word)
     if found is None:
-        raise ConfigurationError(
+        raise UnusableTypeError(
             f"No installed interface is called {name!r}.", hint=f"Install the package {package}."
         )
     return found

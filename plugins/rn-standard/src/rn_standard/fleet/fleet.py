@@ -121,6 +121,15 @@ class Fleet:
                     f"[robots.{name}]: {error.message}", hint=error.hint
                 ) from error
 
+    @property
+    def omitted(self) -> list[str]:
+        """What of the configuration is left out, a sentence each, with the robot."""
+        return [
+            f"[robots.{name}]: {reason}"
+            for name, robot in self.robots.items()
+            for reason in robot.omitted
+        ]
+
     def listen(self, wire: tuple[int, int]) -> Transport:
         """Start listening for the clients of all robots; for `wire` see `Host`."""
         return self.features.listen(replace(self._host, wire=wire))

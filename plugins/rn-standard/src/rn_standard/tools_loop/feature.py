@@ -28,13 +28,13 @@ class LoopTools(Feature[None]):
         host.events.fault.listen(changed)
         return [
             reset_tool(host.loop),
-            status_tool(host.loop, host.started_s),
+            status_tool(host),
             *start_tools(host.loop),
         ]
 
     def resources(self, host: Host) -> Sequence[Resource]:
         """See Feature."""
-        return [status_resource(host.loop, host.started_s)]
+        return [status_resource(host)]
 
     def start(self, host: Host) -> None:
         """Start monitoring which policy acts."""

@@ -124,6 +124,9 @@ class StatusResult(Result):
         default_factory=dict,
         description="limits tightened below those of the configuration; a person loosens them",
     )
+    left_out: list[str] = Field(
+        default_factory=list, description="of the configuration, with the reason"
+    )
     uptime_s: float = Field(description="of the server")
     pid: int = Field(description="of the server")
     versions: dict[str, str]

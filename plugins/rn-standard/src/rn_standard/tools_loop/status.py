@@ -10,7 +10,7 @@ from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 
 from rn_standard.tools_loop.results import ModuleStatus, RobotStatus, StatusResult
-from roboneuron import CallContext, NoArguments, Resource, Tool, __version__
+from roboneuron import CallContext, Host, NoArguments, Resource, Tool, __version__
 from roboneuron.feature import ClosedLoop
 
 STATUS_URI = "roboneuron://status"
@@ -28,8 +28,10 @@ def _versions() -> dict[str, str]:
     return found
 
 
-def status(loop: ClosedLoop, started_s: float) -> StatusResult:
-    """Collect the status, `started_s` being the monotonic time of the server's start."""
+def status(host: Host) -> StatusResult:
+    """Collect the status."""
+    loop = host.loop
+    omitted = host.features.omitted
     cause = loop.emergency_stop.cause()
     return StatusResult(
         robot=RobotStatus(**asdict(loop.robot_facts)),
@@ -38,7 +40,8 @@ def status(loop: ClosedLoop, started_s: float) -> StatusResult:
         **({"emergency_stop_cause": cause} if cause else {}),
         namespace=loop.config.namespace,
         tightened_limits=_tightened(loop),
-        uptime_s=round(time.monotonic() - started_s, 1),
+        **({"left_out": omitted} if omitted else {}),
+        uptime_s=round(time.monotonic() - host.started_s, 1),
         pid=os.getpid(),
         versions=_versions(),
         log_directory=str(loop.modules.log_directory),
@@ -51,11 +54,11 @@ def _tightened(loop: ClosedLoop) -> dict[str, object]:
     return {key: value for key, value in now.items() if value != base[key]}
 
 
-def status_tool(loop: ClosedLoop, started_s: float) -> Tool[NoArguments]:
+def status_tool(host: Host) -> Tool[NoArguments]:
     """get_status."""
 
     async def get_status(_: NoArguments, context: CallContext) -> StatusResult:
-        return status(loop, started_s)
+        return status(host)
 
     return Tool(
         name="get_status",
@@ -73,13 +76,13 @@ def status_tool(loop: ClosedLoop, started_s: float) -> Tool[NoArguments]:
     )
 
 
-def status_resource(loop: ClosedLoop, started_s: float) -> Resource:
+def status_resource(host: Host) -> Resource:
     """The result of get_status under `STATUS_URI`."""
     return Resource(
         uri=STATUS_URI,
         name="status",
         title="Status of everything",
         description="The answer of get_status.",
-        read=lambda: status(loop, started_s).model_dump_json(indent=2, exclude_unset=True),
+        read=lambda: status(host).model_dump_json(indent=2, exclude_unset=True),
         mime_type="application/json",
     )

@@ -19,6 +19,7 @@ from rn_standard.direct_path.exposed import (
     same_for_each_topic,
     tightened_by,
 )
+from rn_standard.direct_path.interface_class import UnusableTypeError
 from rn_standard.direct_path.joints import JOINT_TYPES
 from rn_standard.direct_path.limits import check_endpoint
 from rn_standard.tools_ros.exposed_types import is_joint_limited, is_velocity_type, renamed
@@ -45,10 +46,17 @@ from roboneuron.feature import Config, ExposedEndpoint, Registry, load_profile
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Exposure:
-    """All exposed endpoints of the configuration."""
+    """All exposed endpoints of the configuration.
+
+    Attributes:
+        endpoints: topics, services and actions.
+        nodes: nodes with parameters.
+        omitted: endpoints that are left out because their type cannot be used; a sentence each.
+    """
 
     endpoints: tuple[ExposedEndpoint, ...] = ()
     nodes: tuple[ParameterNode, ...] = ()
+    omitted: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -56,9 +64,8 @@ class _ExposedRobot:
     name: str
     namespace: str
     profile: RobotProfile | None
-
-    def endpoints(self) -> list[ExposedEndpoint]:
-        return profile_endpoints(self.name, self.namespace, self.profile)
+    endpoints: tuple[ExposedEndpoint, ...]
+    """Those of the profile whose type can be used."""
 
 
 def exposure(
@@ -71,6 +78,8 @@ def exposure(
         options: the exposed entries.
         registry: provides the profiles.
         added: entries added at run time, which can only tighten the limits of a topic.
+
+    An endpoint whose type cannot be used is left out and named, but for added ones.
 
     Raises:
         ConfigurationError: an entry names something unknown, is incomplete, widens a limit, or
@@ -92,8 +101,12 @@ def exposure(
                 raise ConfigurationError(
                     f"Robot {name!r} cannot have the namespace {space!r}: another robot has it."
                 )
-            robots[name] = _ExposedRobot(name=name, namespace=space, profile=profile)
-            for exposed in robots[name].endpoints():
+            listed = profile_endpoints(name, space, profile)
+            usable = tuple(filter(is_usable, listed))
+            robots[name] = _ExposedRobot(
+                name=name, namespace=space, profile=profile, endpoints=usable
+            )
+            for exposed in robots[name].endpoints:
                 known.setdefault((exposed.topic, exposed.endpoint.kind), []).append(exposed)
         found = robots[name]
         if namespace is not None and namespace != found.namespace:
@@ -101,6 +114,16 @@ def exposure(
                 f"Robot {name!r} is given two namespaces, {found.namespace!r} and {namespace!r}."
             )
         return found
+
+    omitted: list[str] = []
+
+    def is_usable(exposed: ExposedEndpoint) -> bool:
+        try:
+            load_interface(exposed.endpoint.type)
+        except UnusableTypeError as error:
+            omitted.append(f"Endpoint {exposed.label!r} of {exposed.robot!r}: {error}")
+            return False
+        return True
 
     drafts: dict[tuple[str, str, str], ExposedEndpoint] = {}
     nodes: list[ParameterNode] = []
@@ -118,9 +141,12 @@ def exposure(
 
     main = find(config.robot.name, config.namespace)
     if options.direct.profile:
-        drafts.update((_key(e), e) for e in main.endpoints())
+        drafts.update((_key(e), e) for e in main.endpoints)
     for entry in options.expose:
-        take(entry, ())
+        try:
+            take(entry, ())
+        except UnusableTypeError as error:
+            omitted.append(f"[[expose]] {entry.name!r}: {error}")
     configured = by_topic(drafts.values())
     for entry in added:
         take(entry, options.discover)
@@ -129,7 +155,8 @@ def exposure(
     for exposed in shown:
         check_reserved(exposed, namespaces)
     made = tuple(unique(_not_looser(shown, configured)))
-    return Exposure(endpoints=made, nodes=tuple(same_for_each_node(nodes, namespaces)))
+    kept = tuple(same_for_each_node(nodes, namespaces))
+    return Exposure(endpoints=made, nodes=kept, omitted=tuple(omitted))
 
 
 def unique(drafts: Iterable[ExposedEndpoint]) -> Iterator[ExposedEndpoint]:
@@ -158,7 +185,7 @@ def _whole_profile(entry: ExposeConfig, robot: _ExposedRobot) -> list[ExposedEnd
             "offers such a robot."
         )
     return [replace(e, moves=entry.moves, require_subscriber=entry.require_subscriber)
-            for e in robot.endpoints()]  # fmt: skip
+            for e in robot.endpoints]  # fmt: skip
 
 
 def _merge(
@@ -173,7 +200,7 @@ def _merge(
     """
     assert entry.name is not None
     mine = [e for key, e in drafts.items() if key[:2] == (robot.name, entry.name)]
-    own = [*mine, *(e for e in robot.endpoints() if e.label == entry.name)]
+    own = [*mine, *(e for e in robot.endpoints if e.label == entry.name)]
     base = next(
         (
             e

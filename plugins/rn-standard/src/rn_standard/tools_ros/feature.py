@@ -59,6 +59,12 @@ class RosTools(Feature[RosToolsOptions]):
         self._withdrawn: frozenset[tuple[str, str]] = frozenset()
         self._named: tuple[ExposedEndpoint, ...] = ()
         self._discovered: tuple[ExposedEndpoint, ...] = ()
+        self._omitted: tuple[str, ...] = ()
+
+    @property
+    def omitted(self) -> tuple[str, ...]:
+        """Endpoints whose type cannot be used."""
+        return self._omitted
 
     def tools(self, host: Host) -> Sequence[Tool]:
         """Return the permanent tools; the derived ones are added to them.
@@ -189,6 +195,9 @@ class RosTools(Feature[RosToolsOptions]):
         self._withdrawn = frozenset(
             (e.topic, e.endpoint.kind) for e in made.endpoints if use_of(e) in self._hidden
         )
+        for reason in sorted({*made.omitted} - {*self._omitted}):
+            log.error("Left out: %s", reason)
+        self._omitted = made.omitted
         return Exposure(
             endpoints=tuple(e for e in made.endpoints if use_of(e) not in self._hidden),
             nodes=tuple(

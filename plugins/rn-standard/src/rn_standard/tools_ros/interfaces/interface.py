@@ -5,12 +5,12 @@ object.
 from __future__ import annotations
 
 import functools
-import importlib
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
 from pydantic import BaseModel
 
+from rn_standard.direct_path.interface_class import import_class
 from rn_standard.tools_ros.interfaces.bounds import LOSSLESS, DecodeLimits, InputLimits
 from rn_standard.tools_ros.interfaces.decode import MessageDecoder
 from rn_standard.tools_ros.interfaces.derive import Deriver
@@ -26,7 +26,6 @@ from rn_standard.tools_ros.interfaces.model import make_model
 from rn_standard.tools_ros.interfaces.naming import (
     InterfaceName,
     interface_prefixes,
-    is_interface_package,
     list_interfaces,
     parse_interface_name,
     unknown_interface,
@@ -205,7 +204,7 @@ class InterfaceLoader:
 
     def _load(self, type_name: str, nonfinite: frozenset[str]) -> Interface:
         for name in parse_interface_name(type_name):
-            ros_type = _import(name)
+            ros_type = import_class(name.package, name.kind, name.name)
             if ros_type is not None:
                 return self._make(name, ros_type, nonfinite)
         raise unknown_interface(type_name, list_interfaces())
@@ -241,8 +240,9 @@ def load_interface(type_name: str, *, nonfinite: frozenset[str] = frozenset()) -
             all of them.
 
     Raises:
-        ConfigurationError: no such interface is installed; the hint names the nearest. Or a path in
-            `nonfinite` is not a float field.
+        UnusableTypeError: no such interface is installed; the hint names the nearest. Or its class
+            is broken or too large.
+        ConfigurationError: a path in `nonfinite` is not a float field.
     """
     return _loader().load(type_name, nonfinite=nonfinite)
 
@@ -277,12 +277,6 @@ def load_action(type_name: str, *, nonfinite: frozenset[str] = frozenset()) -> A
     raise ConfigurationError(
         f"{interface.name} is not an action.", hint="Actions are package/action/Name."
     )
-
-
-def _import(name: InterfaceName) -> object:
-    if not is_interface_package(name.package, name.kind):
-        return None
-    return getattr(importlib.import_module(f"{name.package}.{name.kind}"), name.name, None)
 
 
 def _check_paths(message: MessageType, nonfinite: frozenset[str]) -> None:

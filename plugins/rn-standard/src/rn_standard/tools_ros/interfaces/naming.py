@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from rn_standard.direct_path.interface_class import UnusableTypeError
 from roboneuron import ConfigurationError
 
 KINDS = ("msg", "srv", "action")
@@ -129,4 +130,4 @@ def unknown_interface(text: str, known: Sequence[InterfaceName]) -> Configuratio
         if unique
         else "`list_interfaces` shows the installed ones."
     )
-    return ConfigurationError(f"No installed interface is called {text!r}.", hint=hint)
+    return UnusableTypeError(f"No installed interface is called {text!r}.", hint=hint)

@@ -8,6 +8,7 @@ otherwise exceed `INLINE_BYTES`.
 from __future__ import annotations
 
 import json
+import math
 from collections import Counter
 
 from pydantic.json_schema import JsonSchemaValue
@@ -19,6 +20,7 @@ from rn_standard.tools_ros.interfaces.description import (
     MessageField,
     MessageType,
     Nested,
+    Plain,
     Scalar,
 )
 from rn_standard.tools_ros.interfaces.scalars import NONFINITE_NAMES
@@ -29,6 +31,8 @@ few do not.
 """
 
 _SHORT, _LONG = 110, 400
+_MOST_DEFAULT = 16
+"""Longest array whose default is shown."""
 Schema = JsonSchemaValue
 
 
@@ -87,9 +91,7 @@ class _Writer:
         text = field_text(field)
         if text:
             schema = {**schema, "description": text}
-        if field.default is not None and not (
-            isinstance(field.default, list) and len(field.default) > 16
-        ):
+        if field.default is not None and _is_shown(field.default):
             schema["default"] = field.default
         return schema
 
@@ -134,6 +136,14 @@ class _Writer:
                 {"type": "object", "properties": parts, "additionalProperties": False},
             ]
         }
+
+
+def _is_shown(default: Plain) -> bool:
+    """True for defaults that are short and that JSON can hold."""
+    values = default if isinstance(default, list) else [default]
+    return len(values) <= _MOST_DEFAULT and all(
+        math.isfinite(value) for value in values if isinstance(value, float)
+    )
 
 
 def _scalar(scalar: Scalar) -> Schema:
