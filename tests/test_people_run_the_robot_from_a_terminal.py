@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 
 from rn_testing.domain import free_ros_domain
-from rn_testing.waiting import wait_for_line
+from rn_testing.waiting import wait_for_line, wait_until
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(300)]
 ROBONEURON = [sys.executable, "-P", "-m", "roboneuron.cli.main"]
@@ -132,8 +132,11 @@ def test_status_and_logs_show_what_a_kept_server_runs(environment: dict[str, str
         other = roboneuron(elsewhere, "status")
         assert other.returncode == 1
         assert f"ROS_DOMAIN_ID={environment['ROS_DOMAIN_ID']} roboneuron status" in other.stdout
-        logs = roboneuron(environment, "logs", "server")
-        assert "robot: ok (was starting)" in logs.stdout
+        # the server looks at its modules by itself, a little later
+        wait_until(
+            lambda: "robot: ok (was starting)" in roboneuron(environment, "logs", "server").stdout,
+            60.0,
+        )
         with going_on(environment, "logs", "--follow", "-n", "1") as follower:
             assert follower.stdout is not None
             assert status["log_directory"] in follower.stdout.readline()

@@ -54,7 +54,9 @@ def test_a_plain_client_gets_metadata_and_an_answer_with_times() -> None:
 class Stuck(Reflex):
     """Does not answer until it is released."""
 
-    released = threading.Event()
+    def __init__(self) -> None:
+        super().__init__(step_s=0.05)
+        self.released = threading.Event()
 
     def answer(self, observations: Any) -> Any:
         self.released.wait(60.0)
@@ -62,21 +64,22 @@ class Stuck(Reflex):
 
 
 def test_a_model_that_hangs_is_told_in_time() -> None:
-    with serving(options_of(answer_timeout_s=0.3), Stuck(step_s=0.05)) as url:
+    stuck = Stuck()
+    with serving(options_of(answer_timeout_s=0.3), stuck) as url:
         with open_client(url) as connection:
             start = time.monotonic()
             assert "gave no answer before the deadline" in ask(connection)
             assert time.monotonic() - start < 0.3 + SLACK_S
-        Stuck.released.set()
+        stuck.released.set()
 
 
 def test_a_server_that_ends_waits_for_no_model() -> None:
-    Stuck.released.clear()
+    stuck = Stuck()
     with ExitStack() as kept:
-        with serving(options_of(answer_timeout_s=0.2), Stuck(step_s=0.05)) as url:
+        with serving(options_of(answer_timeout_s=0.2), stuck) as url:
             connection = kept.enter_context(open_client(url))
             connection.send(msgpack.packb(REQUEST, default=encode))
-            threading.Timer(0.6, Stuck.released.set).start()
+            threading.Timer(0.6, stuck.released.set).start()
             start = time.monotonic()
         # the model answers after the loop has ended, and closing waits for it, not for the client
         assert time.monotonic() - start < 0.6 + SLACK_S

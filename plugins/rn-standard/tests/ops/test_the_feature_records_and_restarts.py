@@ -224,7 +224,7 @@ def test_faults_are_recorded_and_perception_is_restarted(
                         await anyio.sleep(0.05)
 
             async def recorded(wanted: set[tuple[str, str]]) -> list[dict[str, Any]]:
-                with anyio.fail_after(20):
+                with anyio.fail_after(60):
                     while True:
                         found: list[dict[str, Any]] = (await do("list_incidents", entries=100))[
                             "incidents"
