@@ -64,7 +64,7 @@ class Arm:
     joints: slice | list[int] = slice(7)
     """The arm's joints among the measured ones."""
 
-    def __init__(self, state: Path) -> None:
+    def __init__(self, state: Path, more: str = "") -> None:
         import rclpy
         from geometry_msgs.msg import PoseStamped
         from rclpy.executors import SingleThreadedExecutor
@@ -75,7 +75,7 @@ class Arm:
         from roboneuron.ros.qos import NEWEST
 
         self.state_directory = state
-        self.config: Config = parse_config(self.text)
+        self.config: Config = parse_config(self.text + more)
         self.supervisor = Supervisor(state)
         self.supervisor.on_join = (LIMITS.on_join or "",)
         self.context = rclpy.Context()
@@ -263,13 +263,21 @@ def pair(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Arm]:
     yield from _made(Pair, tmp_path_factory)
 
 
-def _made(kind: type[Arm], tmp_path_factory: pytest.TempPathFactory) -> Iterator[Arm]:
+@pytest.fixture(scope="module")
+def arm_with(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Iterator[Arm]]:
+    """Makes an FR3 with more configuration, as `arm` does."""
+    return lambda more: _made(Arm, tmp_path_factory, more)
+
+
+def _made(
+    kind: type[Arm], tmp_path_factory: pytest.TempPathFactory, more: str = ""
+) -> Iterator[Arm]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("ROS_DOMAIN_ID", str(free_ros_domain()))
         patch.setenv("ROS_LOG_DIR", os.environ.get("ROS_LOG_DIR", ""))
         state = tmp_path_factory.mktemp("state")
         prepare_environment(state / "log")
-        created = kind(state)
+        created = kind(state, more)
         try:
             yield created
         finally:

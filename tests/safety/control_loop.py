@@ -16,7 +16,10 @@ from std_msgs.msg import Float64MultiArray
 from rn_standard.control.module import ControlModule
 from rn_standard.tools_arm.limit_reports import LimitReports
 from roboneuron.config import ModuleSettings, parse_config
-from roboneuron.contract import JointSample
+from roboneuron.contract import JointCommand, JointSample
+from roboneuron.errors import RefusedError
+from roboneuron.gate.motion import DriverLimiter
+from roboneuron.modules.command_guard import joint_rules
 from roboneuron.modules.module_host import Handover
 from roboneuron.modules.status import StatusWriter
 from roboneuron.ros.messages import to_joint_state
@@ -82,6 +85,7 @@ class ControlLoop:
         control: the module.
         holds: number of holds sent.
         commands: number of other commands sent.
+        changed: what the robot module's limits would do to them: they pass every one as it is.
     """
 
     def __init__(self, config: str, judge: MotionJudge, state: Path, clock: Clock) -> None:
@@ -96,6 +100,10 @@ class ControlLoop:
         self.control = ControlModule(self.host)  # type: ignore[arg-type]
         self.control.on_limited.append(LimitReports(self.control).report)
         self.holds = self.commands = 0
+        self.changed: list[str] = []
+        self._driver_limits = DriverLimiter(
+            self.control.profile, joint_rules(self.host.settings.config.limits)
+        )
         self._command_hold = self.control._command_hold
         self.control._command_hold = self._note_hold  # type: ignore[method-assign]
         self._is_hold = False
@@ -139,6 +147,7 @@ class ControlLoop:
             (point,) = message.points
             lasts_s = point.time_from_start.sec + point.time_from_start.nanosec / 1e9
             names, position = tuple(message.joint_names), np.array(point.positions)
+            self._send(JointCommand(names=names, position=position, duration_s=lasts_s), now_s)
             if self._is_hold:
                 self.holds += 1
                 self.judge.hold(names, position, now_s)
@@ -147,6 +156,18 @@ class ControlLoop:
                 self.judge.command(names, position, lasts_s, now_s)
         self._is_hold = False
         sent.clear()
+
+    def _send(self, command: JointCommand, now_s: float) -> None:
+        """Pass a command as the robot module does."""
+        self._driver_limits.measure(self.joints())
+        try:
+            (admitted,) = self._driver_limits.admit([command], now_s)
+            passed = self._driver_limits.limit(admitted, now_s)
+        except RefusedError as error:
+            self.changed.append(error.message)
+            return
+        self.changed += [passed.reason] * bool(passed.acted)
+        self._driver_limits.note_sent(passed.command, now_s)
 
     def acted(self) -> set[str]:
         """Names of the limits that have acted: scaled, held or refused."""

@@ -272,6 +272,7 @@ def test_no_chunk_of_any_space_breaks_a_limit(
     rng = np.random.default_rng([SPACE_KINDS.index(kind), bool(reactions)])
     outcomes = drive(loop, kind, subject.make_profile(), chunks, rng)
     assert loop.judge.broken == {}
+    assert loop.changed == [], "control keeps what the robot module limits"
     # the chunks were hostile, and the arm moved nevertheless
     assert loop.commands > 0.4 * chunks
     acted = loop.acted()

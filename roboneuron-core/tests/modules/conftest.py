@@ -12,6 +12,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -106,7 +107,7 @@ class World:
             node_name=kind,
             config=parse_config(edited(extra, replace)),
             state_directory=str(self.state_directory),
-            on_join=("loop_plugin:join", "rn_standard.tools_arm.limits_in_control:join"),
+            on_join=("loop_plugin:join", "rn_standard.tools_arm.limit_reports:join"),
             shadow=shadow,
         )
         node = ModuleNode(settings, classes[kind])
@@ -189,6 +190,7 @@ class Host:
         publishers, subscribed, parameters: by topic or name, until they are released.
         periods_s: periods of timers.
         silence_s: since the server's last sign of life.
+        foreign: names of foreign nodes that publish commands.
     """
 
     def __init__(self, settings: ModuleSettings, clock: Clock) -> None:
@@ -203,6 +205,7 @@ class Host:
         self.stopped = False
         self.needs_start = ""
         self.silence_s = 0.0
+        self.foreign = ""
         self.publishers: dict[str, Publisher] = {}
         self.subscribed: dict[tuple[type, str], Callable[..., None]] = {}
         self.parameters: dict[str, tuple[Any, Callable[..., Any], Callable[..., Any]]] = {}
@@ -211,6 +214,9 @@ class Host:
 
     def now_ns(self) -> int:
         return self.clock.wall_ns
+
+    def get_clock(self) -> Any:
+        return SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=self.clock.wall_ns))
 
     def is_server_silent(self) -> bool:
         robot, control = self.settings.config.robot, self.settings.config.control
@@ -222,6 +228,9 @@ class Host:
 
     def subscribe(self, message_type: type, topic: str, callback: Callable[..., None]) -> None:
         self.subscribed[message_type, topic] = callback
+
+    def senders(self, topic: str) -> str:
+        return self.foreign
 
     def repeat(self, period_s: float, callback: Callable[[], None]) -> None:
         self.repeated.append((period_s, callback))
@@ -268,7 +277,7 @@ def make_host(
     The modules use the host's clock.
     """
     from rn_standard.control import module as control
-    from roboneuron.modules import holding, module_host, robot
+    from roboneuron.modules import command_guard, holding, module_host, robot
     from roboneuron.plugins.discovery import discover_from
 
     monkeypatch.syspath_prepend(str(loop_site))
@@ -279,7 +288,7 @@ def make_host(
     ]
     monkeypatch.setattr(module_host, "discover", lambda disabled: discover_from(points, disabled))
     clock = Clock()
-    for one in (control, holding, robot):
+    for one in (control, command_guard, holding, robot):
         monkeypatch.setattr(one, "time", clock)
     made: list[Host] = []
 

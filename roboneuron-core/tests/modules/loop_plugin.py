@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -155,8 +156,16 @@ def roboneuron_robots() -> Sequence[RobotSpec]:
             target="loop_plugin:profile",
             drivers=(driver, elsewhere),
             cameras=(camera,),
-        )
+        ),
+        RobotSpec(name="loose", summary="x", target="loop_plugin:loose_profile", drivers=(driver,)),
     ]
+
+
+def loose_profile() -> RobotProfile:
+    """The robot "pair" with limits that no test of timing reaches."""
+    far = np.full(2, 1e6)
+    limits = JointLimits(lower=-far, upper=far, velocity=far, acceleration=far, effort=far)
+    return replace(profile(), limits=limits, cameras=())
 
 
 def profile() -> RobotProfile:

@@ -20,6 +20,8 @@ from roboneuron.modules.worker import LIMIT_S
 ARM = ("a", "b")
 MakeHost = Callable[..., Any]
 TIMEOUT_S, SERVER_TIMEOUT_S = 0.3, 2.0
+LOOSE = 'name = "loose"\nnamespace = "pair"'
+"""The robot "pair" with limits that no test of timing reaches, as `name` of [robot]."""
 SOON_S = 15.0
 """Milliseconds on an idle machine."""
 
@@ -49,10 +51,21 @@ class Steps:
 
 
 class Cell:
-    """A robot module whose driver records its calls, in order."""
+    """A robot module whose driver records its calls, in order; by default with limits that change
+    no command.
+    """
 
-    def __init__(self, make_host: MakeHost, *, activate: bool = True, **options: Any) -> None:
-        self.host = make_host("robot", **options)
+    def __init__(
+        self,
+        make_host: MakeHost,
+        *,
+        activate: bool = True,
+        robot: str = LOOSE,
+        replace: dict[str, str] | None = None,
+        **options: Any,
+    ) -> None:
+        replace = {'name = "pair"': robot, **(replace or {})}
+        self.host = make_host("robot", replace=replace, **options)
         self.host.create_publisher = None
         self.clock = self.host.clock
         self.robot = RobotModule(self.host)

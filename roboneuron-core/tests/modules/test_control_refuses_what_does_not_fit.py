@@ -17,7 +17,7 @@ from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
 from rn_standard.control.module import ControlModule
-from rn_standard.tools_arm.limits_in_control import join
+from rn_standard.tools_arm.limit_reports import join
 from roboneuron.config import LimitsConfig
 from roboneuron.contract import (
     CollisionProfile,

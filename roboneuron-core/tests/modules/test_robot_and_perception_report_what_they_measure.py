@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from rclpy.lifecycle import TransitionCallbackReturn
+from robot_cell import LOOSE
 from sensor_msgs.msg import Image, JointState
 from std_msgs.msg import Bool
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
@@ -16,7 +17,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from rn_testing.waiting import holds_within
 from roboneuron.contract import JointCommand
 from roboneuron.errors import NotReadyError
-from roboneuron.modules import robot as robot_module
+from roboneuron.modules import command_guard
 from roboneuron.ros.messages import to_joint_trajectory
 from roboneuron.ros.qos import LATCHED
 
@@ -31,7 +32,7 @@ def command(first: float, duration_s: float = 0.05) -> JointTrajectory:
 
 @pytest.fixture
 def robot(world: Any) -> Any:
-    return world.start("robot")
+    return world.start("robot", replace={'name = "pair"': LOOSE})
 
 
 def test_joint_states_flow_at_the_configured_rate(
@@ -103,17 +104,21 @@ def test_commands_that_cease_are_followed_by_one_hold(
 
 
 @pytest.mark.parametrize(
-    "positions",
-    [[float("nan"), 0.0], [0.1], [0.1, 0.2, 0.3]],
+    ("positions", "reason"),
+    [
+        ([float("nan"), 0.0], "not_finite"),
+        ([0.1], "malformed_command"),
+        ([0.1, 0.2, 0.3], "malformed_command"),
+    ],
     ids=["not-finite", "too-few", "too-many"],
 )
 def test_damaged_command_is_counted_and_moves_nothing(
-    world: Any, robot: Any, status_of: Any, positions: list[float]
+    world: Any, robot: Any, status_of: Any, positions: list[float], reason: str
 ) -> None:
     message = command(0.1)
     message.points[0].positions = positions
     world.publisher(JointTrajectory, "joint_trajectory").publish(message)
-    assert holds_within(lambda: status_of(robot).get("dropped.malformed_command") == "1")
+    assert holds_within(lambda: status_of(robot).get(f"dropped.{reason}") == "1")
     assert not robot.module.driver.sent
 
 
@@ -139,7 +144,7 @@ def test_robot_whose_clock_is_wrong_takes_no_commands_until_it_is_right(
 
     publisher = world.publisher(JointTrajectory, "joint_trajectory")
     with monkeypatch.context() as patch:
-        patch.setattr(robot_module, "time", Shifted)
+        patch.setattr(command_guard, "time", Shifted)
         publisher.publish(command(0.1))
         assert holds_within(lambda: status_of(robot).get(f"dropped.{word}") == "1")
     assert not robot.module.driver.sent
@@ -175,7 +180,10 @@ def test_a_trajectory_ends_in_a_hold_when_its_server_falls_silent_and_is_not_tak
 ) -> None:
     robot = world.start(
         "robot",
-        replace={"command_timeout_s = 0.3": "command_timeout_s = 5.0\nserver_timeout_s = 0.4"},
+        replace={
+            'name = "pair"': LOOSE,
+            "command_timeout_s = 0.3": "command_timeout_s = 5.0\nserver_timeout_s = 0.4",
+        },
     )
     driver = robot.module.driver
     publisher = world.publisher(JointTrajectory, "joint_trajectory")

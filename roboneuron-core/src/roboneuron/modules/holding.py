@@ -27,7 +27,7 @@ from roboneuron.gate.motion import (
 )
 from roboneuron.gate.motion.command import Asked, pick
 from roboneuron.modules.joint_watch import JointWatch
-from roboneuron.modules.module_host import Module, ModuleHost
+from roboneuron.modules.module_host import LimitedModule, ModuleHost
 from roboneuron.modules.plugin import load_profile
 from roboneuron.modules.settings import (
     FOLLOWING_NOTE,
@@ -38,7 +38,7 @@ from roboneuron.ros.messages import commands_from_message, to_joint_state, to_jo
 from roboneuron.ros.topics import JOINT_COMMAND, JOINT_STATES, JOINT_TRAJECTORY
 
 
-class HoldingModule(Module):
+class HoldingModule(LimitedModule):
     """Base of modules that command an arm; holds it when actions or joint states stop, the server
     is silent, or a stop has come. Runs on the executor's thread.
 
@@ -100,31 +100,24 @@ class HoldingModule(Module):
             ConfigurationError: see `check_limits`.
         """
         self._limiter = MotionLimiter.of(
-            self.check_limits(self.node.settings.tightened or self.config.limits),
+            self.check_limits(self.limits_at_start),
             self.profile,
             controller,
             immediate=self.section.command == "joint_state",
             # a longer command would outlive a frozen control
             longest_s=self.config.robot.server_timeout_s,
         )
+        self.offer_limits()
         self.poses = poses_of(controller)
         self.reference = self._limiter.reference
         self.remaining_s = self._limiter.remaining_s
 
     def use_limits(self, limits: LimitsConfig) -> None:
-        """Apply other limits from the next command on.
-
-        Raises:
-            ConfigurationError: see `check_limits`.
-        """
+        """See `LimitedModule.use_limits`."""
         self._limiter.use(self.check_limits(limits))
 
     def check_limits(self, limits: LimitsConfig) -> MotionRules:
-        """Convert limits to the motion rules of this robot.
-
-        Raises:
-            ConfigurationError: they do not fit the robot, or are wider than the configured ones.
-        """
+        """See `LimitedModule.check_limits`; returns the motion rules of this robot."""
         check_tighter(limits, self.config.limits)
         return motion_rules(limits, self.profile)
 

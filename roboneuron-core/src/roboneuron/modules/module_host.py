@@ -15,13 +15,15 @@ from rclpy.lifecycle import LifecycleNode, LifecyclePublisher
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 
-from roboneuron.config import ModuleSettings
+from roboneuron import foreign
+from roboneuron.config import LimitsConfig, ModuleSettings
 from roboneuron.contract import Hold, JointCommand, Pose
-from roboneuron.errors import UnsafeError
-from roboneuron.modules.settings import NEEDS_NEW_START
+from roboneuron.errors import ConfigurationError, ForeignDataError, UnsafeError
+from roboneuron.modules.settings import LIMITS_PARAMETER, NEEDS_NEW_START
 from roboneuron.modules.status import StatusWriter
 from roboneuron.plugins.discovery import discover
 from roboneuron.ros.executor import created
+from roboneuron.ros.graph import foreign_names
 from roboneuron.ros.qos import NEWEST
 from roboneuron.ros.topics import JOINT_COMMAND, JOINT_TRAJECTORY
 
@@ -196,6 +198,21 @@ class ModuleHost(LifecycleNode):  # type: ignore[misc]
         )
         self.resources.callback(self.destroy_subscription, subscription)
 
+    def senders(self, topic: str) -> str:
+        """Names of the foreign nodes that publish on a topic, for messages to a person.
+
+        Args:
+            topic: under the robot's namespace.
+
+        Returns:
+            "/a or /b"; empty if only the server and control do, or no name is known.
+        """
+        found = self.get_publishers_info_by_topic(self.resolve_topic_name(topic))
+        space = self.get_namespace().rstrip("/")
+        # a successor of control is called so while both run
+        own = (f"{space}/control", f"{space}/control_b")
+        return " or ".join(foreign_names(found, own))
+
     def repeat(self, period_s: float, callback: Callable[[], None]) -> None:
         """Call `callback` every `period_s` [s] until cleanup, on the executor's thread."""
         self.resources.callback(self.destroy_timer, self.create_timer(period_s, callback))
@@ -303,3 +320,58 @@ class Module(ABC):
             code: "emergency_stop" or "server_silent", with which the robot has to hold;
                 `NEEDS_NEW_START` if it has already stopped by itself.
         """
+
+
+class LimitedModule(Module):
+    """A module that applies limits to commands, and takes tighter ones while it runs."""
+
+    @abstractmethod
+    def use_limits(self, limits: LimitsConfig) -> None:
+        """Apply other limits from the next command on.
+
+        Raises:
+            ConfigurationError: see `check_limits`.
+        """
+
+    @abstractmethod
+    def check_limits(self, limits: LimitsConfig) -> object:
+        """Raise ConfigurationError if the limits do not fit the robot, or are wider than the
+        configured ones.
+        """
+
+    @property
+    def limits_at_start(self) -> LimitsConfig:
+        """The limits of the process's settings: the configured ones, or tighter ones."""
+        return self.node.settings.tightened or self.config.limits
+
+    def offer_limits(self) -> None:
+        """Declare the ROS parameter `LIMITS_PARAMETER`, with which the server changes the limits
+        until cleanup.
+        """
+        self._report_limits(is_tightened=self.node.settings.tightened is not None)
+        self.node.resources.callback(
+            self.node.add_parameter(LIMITS_PARAMETER, "", self._take_limits, self._why_not_limits)
+        )
+
+    def _take_limits(self, text: str) -> None:
+        self.use_limits(self._parse_limits(text))
+        self._report_limits(is_tightened=bool(text))
+
+    def _why_not_limits(self, text: str) -> str:
+        try:
+            self.check_limits(self._parse_limits(text))
+        except ConfigurationError as error:
+            return error.message
+        return ""
+
+    def _report_limits(self, *, is_tightened: bool) -> None:
+        self.status.set_value("limits", "tightened" if is_tightened else "configured")
+
+    def _parse_limits(self, text: str) -> LimitsConfig:
+        """Parse limits; empty for the configured ones. Raises ConfigurationError."""
+        if not text:
+            return self.config.limits
+        try:
+            return foreign.decode_model(LimitsConfig, text, "the text")
+        except ForeignDataError as error:
+            raise ConfigurationError(f"The limits are no valid [limits]: {error}") from error

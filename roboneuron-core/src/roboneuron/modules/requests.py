@@ -17,7 +17,6 @@ from __future__ import annotations
 import hashlib
 import json
 import logging
-import os
 import threading
 import time
 from collections import deque
@@ -32,6 +31,7 @@ from rclpy.parameter import Parameter
 
 from roboneuron.modules.settings import FOREIGN_REQUEST
 from roboneuron.modules.status import StatusWriter
+from roboneuron.ros.graph import foreign_names
 
 log = logging.getLogger(__name__)
 _LOG_PERIOD_S = 1.0
@@ -194,14 +194,8 @@ class RequestGuard:
         """
         name = self._node.resolve_service_name(service)
         found = self._node.get_publishers_info_by_topic(f"rq{name}Request", no_mangle=True)
-        # rcl calls the node of an endpoint so that was discovered before its node
-        names = {
-            f"{info.node_namespace.rstrip('/')}/{info.node_name}"
-            for info in found
-            if info.node_name != "_NODE_NAME_UNKNOWN_"
-        }
         return (
-            " or ".join(sorted(names - {f"/roboneuron_server_{os.getppid()}"}))
+            " or ".join(foreign_names(found))
             or "a node whose name is not known: it has just come, or has left"
         )
 

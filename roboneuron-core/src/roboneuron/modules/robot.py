@@ -1,5 +1,5 @@
-"""Robot module: executes joint commands with a driver, publishes measured states, and holds when
-commands cease.
+"""Robot module: executes joint commands within the joints' limits with a driver, publishes measured
+states, and holds when commands cease.
 """
 
 from __future__ import annotations
@@ -13,19 +13,18 @@ from typing import Any, cast
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
+from roboneuron.config import LimitsConfig
 from roboneuron.contract import JointCommand, LookaheadDriver, RobotDriver, RobotState
-from roboneuron.errors import InvalidInputError, NotReadyError
-from roboneuron.modules.module_host import Module, ModuleHost
+from roboneuron.errors import NotReadyError, RefusedError
+from roboneuron.gate.motion import check_tighter
+from roboneuron.modules.command_guard import CommandGuard, joint_rules
+from roboneuron.modules.module_host import LimitedModule, ModuleHost
 from roboneuron.modules.plugin import build, load_profile
-from roboneuron.modules.settings import (
-    FAULT_DETAIL,
-    FUTURE_S,
-    NEEDS_NEW_START,
-)
+from roboneuron.modules.settings import FAULT_DETAIL, NEEDS_NEW_START
 from roboneuron.modules.worker import LIMIT_S, Worker
 from roboneuron.planning import find_robot
 from roboneuron.ros.host import NodeTopics
-from roboneuron.ros.messages import commands_from_message, to_joint_state
+from roboneuron.ros.messages import to_joint_state
 from roboneuron.ros.topics import JOINT_COMMAND, JOINT_STATES, JOINT_TRAJECTORY
 
 _DETAIL_PERIOD_S = 0.1
@@ -36,13 +35,16 @@ _MOST_BEHIND_S = 0.05
 """States that are later than this are skipped, so that no burst of outdated states is published."""
 
 
-class RobotModule(Module):
+class RobotModule(LimitedModule):
     """Two threads beside the executor: one publishes measured states, one plays trajectories point
     by point.
 
     The executor handles commands and stops. It replaces the plan under the condition `_arrived`.
     The playing thread takes one point after the other from it, and sends outside the lock, so that
     a blocking driver never delays a stop.
+
+    A command that cannot be meant is refused when it comes, and leaves the one before it in force.
+    Each point is limited when it is sent, from where the arm then is.
 
     Attributes:
         driver: the open driver of the robot.
@@ -82,6 +84,8 @@ class RobotModule(Module):
             "RobotDriver",
             build(spec, self.config.options(section.name), self.profile, self._topics),
         )
+        self._guard = CommandGuard(node, self.profile, self.driver, self.limits_at_start)
+        self.offer_limits()
         node.resources.callback(self.driver.close)
         self.driver.open()
         self._states = node.advertise(JointState, JOINT_STATES)
@@ -111,7 +115,7 @@ class RobotModule(Module):
         self._drop_plan()
         # first: a command that is being sent now must not come after the hold
         player_ended = self._player.stop()
-        self.driver.hold()
+        self._hold()
         if not (self._reader.stop() and player_ended):
             raise NotReadyError("The driver hangs; the robot's own safety functions must hold it.")
 
@@ -123,7 +127,21 @@ class RobotModule(Module):
         self._drop_plan()
         if code != NEEDS_NEW_START:
             self.status.set(note=f"holding: {self.node.needs_start}")
-            self.driver.hold()
+            self._hold()
+
+    def use_limits(self, limits: LimitsConfig) -> None:
+        """See `LimitedModule.use_limits`."""
+        self.check_limits(limits)
+        self._guard.limits.use(joint_rules(limits))
+
+    def check_limits(self, limits: LimitsConfig) -> None:
+        """See `LimitedModule.check_limits`."""
+        check_tighter(limits, self.config.limits)
+
+    def _hold(self) -> None:
+        """Make the driver brake; the next command starts from where the arm then is."""
+        self._guard.limits.note_hold()
+        self.driver.hold()
 
     def _drop_plan(self) -> None:
         with self._arrived:
@@ -132,35 +150,17 @@ class RobotModule(Module):
             self._arrived.notify()
 
     def _on_command(self, message: JointTrajectory | JointState, info: dict[str, Any]) -> None:
-        if not self._accepts(info):
-            return
-        try:
-            commands = commands_from_message(message)
-        except InvalidInputError as error:
-            self.status.drop("malformed_command")
-            self.status.set_error(error)
-            return
-        with self._arrived:
-            self._pending, self._due_s = commands, time.monotonic()
-            self._arrived.notify()
-
-    def _accepts(self, info: dict[str, Any]) -> bool:
-        """Return True if a command may be executed now; a refusal is counted by reason.
-
-        Args:
-            info: info of the message; `source_timestamp` is the time of sending [ns].
-        """
         if not self._active:
-            return False
+            return
         if reason := self.why_stopped():
             self.status.drop(reason)
-            return False
-        age_s = (time.time_ns() - int(info["source_timestamp"])) / 1e9
-        if age_s > self.config.robot.command_timeout_s or age_s < -FUTURE_S:
-            self.status.drop("stale_command" if age_s > 0 else "future_command")
-            return False
-        self.status.latency.append(age_s * 1e3)
-        return True
+            return
+        # by `source_timestamp`, the time of sending [ns]
+        commands = self._guard.admit(message, int(info["source_timestamp"]))
+        if commands:
+            with self._arrived:
+                self._pending, self._due_s = commands, time.monotonic()
+                self._arrived.notify()
 
     def _play(self, stop: threading.Event) -> None:
         """Send the next pending command; a newer trajectory replaces the rest of the older one.
@@ -194,22 +194,19 @@ class RobotModule(Module):
                 self._pending = []
         if is_late:
             self.status.drop("stale_command")
-            self.driver.hold()
+            self._hold()
             return
         # from here on the command returned by the driver counts: it may have shortened it
-        try:
-            sent = self._send(command, planned)
-        except Exception as error:  # a driver may raise anything
+        sent = self._execute(command, planned)
+        if sent is None:
             # without this point, the next ones would be sent too early, on a way nobody has checked
             plan.clear()
-            self.status.drop("refused_command")
-            self.status.set_error(error)
             if planned:
-                self.driver.hold()
+                self._hold()
             return
         if self.why_stopped():  # since it was taken: the hold of that stop came before the command
             self._drop_plan()
-            self.driver.hold()
+            self._hold()
             return
         for note in self.on_sent:
             note(sent)
@@ -227,6 +224,28 @@ class RobotModule(Module):
                     lambda: self._pending is not plan or stop.is_set(), timeout=sent.duration_s
                 )
 
+    def _execute(
+        self, command: JointCommand, planned: tuple[JointCommand, ...]
+    ) -> JointCommand | None:
+        """Limit a point and send it; return it as sent, or None if limits or driver refuse it."""
+        try:
+            command, now_s = self._guard.limit(command)
+        except RefusedError as error:
+            self._guard.refuse(error.rule, error.message)
+            return None
+        except Exception as error:  # a driver may raise anything when it is read
+            self._guard.refuse("not_measured", f"The joints cannot be read: {error}")
+            return None
+        try:
+            sent = self._send(command, planned)
+        except Exception as error:  # likewise
+            self.status.drop("refused_command")
+            self.status.set_error(error)
+            return None
+        # not as sent: a driver may report the time that it would need from rest
+        self._guard.limits.note_sent(command, now_s)
+        return sent
+
     def _send(self, command: JointCommand, planned: tuple[JointCommand, ...]) -> JointCommand:
         """Give the driver a point and, if it accepts a look-ahead, the points after it.
 
@@ -243,7 +262,7 @@ class RobotModule(Module):
             self._moving
             and time.monotonic() - self._command_s > self.config.robot.command_timeout_s
         ):
-            self.driver.hold()
+            self._hold()
             self._moving = False
             self.status.set(note="holding: no command")
 
@@ -261,6 +280,7 @@ class RobotModule(Module):
         try:
             state = self.driver.read()
         except Exception:
+            self._guard.limits.measure(None)
             # the state at the last publication may be outdated
             self.status.forget_details()
             for tell in self.on_state:
@@ -269,6 +289,7 @@ class RobotModule(Module):
             raise
         # first of all: control waits for it
         self._states.publish(to_joint_state(state.joints))
+        self._guard.limits.measure(state.joints)
         self.status.output.tick()
         self.status.set_ready()
         self._check_fault(state.detail.get(FAULT_DETAIL, ""))

@@ -30,6 +30,10 @@ FOREIGN_REQUEST = "foreign_request"
 """Counted in `dropped`, with the newest one as text: a lifecycle or parameter request that is not
 the server's.
 """
+REFUSED_COMMAND = "refused"
+"""Value of the robot module's status: the newest joint command that was not executed, with the
+reason and the foreign nodes that may have sent it.
+"""
 EMERGENCY_STOP_TOPIC = "emergency_stop"
 """std_msgs/Bool under the robot's namespace, reliable and transient local: True latches, False
 releases.

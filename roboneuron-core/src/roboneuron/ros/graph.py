@@ -2,12 +2,33 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from rclpy.node import Node
     from rclpy.topic_endpoint_info import TopicEndpointInfo
+
+_UNNAMED = "_NODE_NAME_UNKNOWN_"
+"""rcl calls the node of an endpoint so that was discovered before its node."""
+
+
+def foreign_names(found: Iterable[TopicEndpointInfo], own: Iterable[str] = ()) -> list[str]:
+    """Sorted names of the nodes of these endpoints, other than the server that has started this
+    process; unnamed ones are left out.
+
+    Args:
+        found: endpoints of a topic.
+        own: names of further nodes to leave out.
+    """
+    names = {
+        f"{info.node_namespace.rstrip('/')}/{info.node_name}"
+        for info in found
+        if info.node_name != _UNNAMED
+    }
+    return sorted(names - {f"/roboneuron_server_{os.getppid()}", *own})
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,6 @@
-"""Reports on the effect of control's limits, in its status and in the audit."""
+"""Reports on the effect of control's limits, in its status and in the audit; `join` is called in
+every module process.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,7 @@ from pathlib import Path
 
 from roboneuron import Hold, RefusedError
 from roboneuron.feature import AuditLog, AuditRecord
-from roboneuron.node import HoldingModule, LimitedCommand
+from roboneuron.node import HoldingModule, LimitedCommand, Module, ModuleHost
 
 _RECORD_PERIOD_S = 1.0
 """Period of audit records of a limit that keeps acting; every change is recorded at once, at most
@@ -31,6 +33,19 @@ _TOLD = {
 Numbers = dict[str, dict[str, float]]
 """Numbers of a command as requested and as sent."""
 log = logging.getLogger(__name__)
+
+
+def join(host: ModuleHost) -> None:
+    """See `FeatureSpec.on_join`."""
+    if host.settings.kind == "control":
+        host.on_configured.append(_extend)
+
+
+def _extend(module: Module) -> None:
+    if isinstance(module, HoldingModule):
+        reports = LimitReports(module)
+        module.on_limited.append(reports.report)
+        module.node.resources.callback(reports.close)
 
 
 class LimitReports:

@@ -18,11 +18,13 @@ log = logging.getLogger(__name__)
 _LOOK_S = 0.5
 _SET_S, _START_S = 5.0, 120.0
 _END_S = 2.0
+_LIMITED: tuple[ModuleKind, ...] = ("control", "robot")
+"""Modules that apply limits."""
 
 
 class LimitsFeature(Feature[None]):
-    """Adds tighten_limits and loosen_limits: control applies them to policies, and the gate to
-    direct motion.
+    """Adds tighten_limits and loosen_limits: control applies them to policies, the gate to direct
+    motion, and the robot module the joints' share to every command.
     """
 
     _host: Host
@@ -68,8 +70,7 @@ class LimitsFeature(Feature[None]):
         Raises:
             InvalidInputError: nothing would be left.
             RefusedError: they are in force, but could not be stored or audited.
-            NotReadyError: they are in force except in the running control, which did not accept
-                them.
+            NotReadyError: they are in force except in a running module that did not accept them.
         """
         with self._lock:
             both = self._record.tightening.tighter(more)
@@ -77,7 +78,7 @@ class LimitsFeature(Feature[None]):
                 return
             record = TightenedRecord(tightening=both, who=who, at_ns=time.time_ns())
             self._use(record)  # first: a full disk must not keep the robot from being limited
-            self._tell_control()
+            self._tell_modules()
             self._file.write(record)
             self._audit("tighten_limits", who, role, "tightened", more)
 
@@ -88,7 +89,7 @@ class LimitsFeature(Feature[None]):
             record = TightenedRecord(tightening=Tightening(), who=who, at_ns=time.time_ns())
             self._file.write(record)
             self._use(record)
-            self._tell_control()
+            self._tell_modules()
 
     def _use(self, record: TightenedRecord) -> None:
         """Put these limits in force for new modules and for the gate; direct motion ends."""
@@ -102,8 +103,8 @@ class LimitsFeature(Feature[None]):
             "The limits have changed.", _END_S, lambda exposed: exposed.endpoint.joint_limited
         )
 
-    def _tell_control(self) -> None:
-        """Send the limits to every running or starting control.
+    def _tell_modules(self) -> None:
+        """Send the limits to every running or starting robot and control.
 
         Raises:
             NotReadyError: one did not accept them.
@@ -111,29 +112,33 @@ class LimitsFeature(Feature[None]):
         tightened = self._host.modules.tightened
         text = "" if tightened is None else tightened.model_dump_json()
         values = {settings.LIMITS_PARAMETER: text}
-        try:
-            refused = self._host.loop.set_parameters("control", values, _SET_S, _START_S)
-        except RoboNeuronError as error:
-            refused = error.message
-        if refused:
+        refusals = []
+        for kind in _LIMITED:
+            try:
+                refused = self._host.loop.set_parameters(kind, values, _SET_S, _START_S)
+            except RoboNeuronError as error:
+                refused = error.message
+            if refused:
+                refusals.append((kind, refused))
+        if refusals:
+            kind, refused = refusals[0]
             raise NotReadyError(
-                f"The running control did not take the limits: {refused}.",
-                hint="They hold for direct motion and from the next start of control on: call "
-                "stop_control.",
+                f"The running {kind} did not take the limits: {refused}.",
+                hint=f"They hold for direct motion and from its next start on: call stop_{kind}.",
             )
 
     def _on_change(self, kind: ModuleKind) -> None:
-        """Send the limits to a control that was starting while they changed."""
+        """Send the limits to a module that was starting while they changed."""
         view = self._host.modules.view(kind)
-        if kind != "control" or view.phase != "running" or view.settings is None:
+        if kind not in _LIMITED or view.phase != "running" or view.settings is None:
             return
         if view.settings.tightened != self._host.modules.tightened:
-            threading.Thread(target=self._tell_quietly, name="limits-control", daemon=True).start()
+            threading.Thread(target=self._tell_quietly, name="limits-modules", daemon=True).start()
 
     def _tell_quietly(self) -> None:
         try:
             with self._lock:
-                self._tell_control()
+                self._tell_modules()
         except RoboNeuronError as error:
             log.error("%s", error)
             self._host.events.fault.tell("control", "limits", {"explanation": error.message})
@@ -154,7 +159,7 @@ class LimitsFeature(Feature[None]):
         if found is not None and found.at_ns > self._record.at_ns and found.tightening.is_empty:
             log.warning("The limits were loosened by %s.", found.who)
             self._use(found)
-            self._tell_control()
+            self._tell_modules()
         elif (
             found is None or found.tightening != self._record.tightening
         ) and not self._record.tightening.is_empty:

@@ -18,7 +18,7 @@ LIMITS = FeatureSpec(
     summary="tighten_limits: limits that clients tighten at run time and only a person loosens.",
     target="rn_standard.tools_arm.limits_feature:LimitsFeature",
     needs=("direct-path",),
-    on_join="rn_standard.tools_arm.limits_in_control:join",
+    on_join="rn_standard.tools_arm.limit_reports:join",
 )
 """Descriptor of the feature that tightens limits."""
 

@@ -4,6 +4,10 @@
 from .command import (
     LimitedCommand as LimitedCommand,
 )
+from .driver_limits import (
+    MOST_POINTS as MOST_POINTS,
+    DriverLimiter as DriverLimiter,
+)
 from .limiter import (
     MotionLimiter as MotionLimiter,
 )

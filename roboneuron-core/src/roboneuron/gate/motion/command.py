@@ -13,7 +13,7 @@ from roboneuron.errors import UnsafeError
 from roboneuron.gate.motion.joint_space import JointLimit
 from roboneuron.gate.motion.task_space import Motion
 
-_FARTHEST = 1e4
+FARTHEST = 1e4
 """Largest plausible joint position [rad or m]; larger numbers are corrupt."""
 _TOGETHER_S = 1e-3
 
@@ -33,7 +33,7 @@ def pick(names: tuple[str, ...], position: F64, wanted: tuple[str, ...]) -> F64:
         if missing:
             raise UnsafeError(f"The joints {list(names)} lack {missing} of the arm.")
         values = values[[names.index(name) for name in wanted]]
-    if not (np.abs(values) <= _FARTHEST).all():  # false for NaN
+    if not (np.abs(values) <= FARTHEST).all():  # false for NaN
         raise UnsafeError(f"A joint of the arm is at no possible position: {values.tolist()}.")
     return values
 
@@ -65,7 +65,7 @@ def pick_others(
             raise UnsafeError(f"The gripper would go to {value:g}, its travel is {travel}.")
         known[name] = value
     kept = {
-        name: value for name, value in known.items() if name not in arm and abs(value) <= _FARTHEST
+        name: value for name, value in known.items() if name not in arm and abs(value) <= FARTHEST
     }
     return tuple(kept), np.array(list(kept.values()))
 

@@ -1,0 +1,76 @@
+"""Time that the joints' limits add to a command on its way to the driver.
+
+    python benchmarks/bench_driver_limits.py
+
+For the FR3: control's command for seven joints, as the robot module checks it when it comes and
+limits it when it is sent, compared with the conversion of the message that both need. And a planned
+trajectory of 50 points.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from rn_robot_fr3.limits import ARM_JOINTS
+from rn_robot_fr3.profile import HOME_RAD, profile
+from roboneuron.contract import JointCommand, JointSample
+from roboneuron.gate.motion import DriverLimiter, MotionRules
+from roboneuron.ros.messages import commands_from_message, to_joint_trajectory
+
+
+def timed(work: Callable[[], object]) -> float:
+    """Milliseconds that `work` takes."""
+    began_s = time.perf_counter()
+    work()
+    return (time.perf_counter() - began_s) * 1e3
+
+
+def row(name: str, values: list[float]) -> None:
+    """Print median and 99th percentile."""
+    median, late = np.percentile(values, [50, 99])
+    print(f"{name:54} {median:9.4f} {late:9.4f}  ms")
+
+
+def main() -> None:
+    """Measure."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--commands", type=int, default=5000)
+    asked = parser.parse_args()
+    limits = DriverLimiter(profile(), MotionRules(reactions={}))
+    home = np.array(HOME_RAD)
+    times: dict[str, list[float]] = {"conversion": [], "limits, one point": []}
+    times |= {"conversion of 50 points": [], "limits, 50 points": []}
+    for number in range(asked.commands):
+        now_s = 0.05 * number
+        place = home + 0.1 * np.sin(0.5 * now_s)
+        limits.measure(JointSample(names=ARM_JOINTS, position=place))
+        goal = home + 0.1 * np.sin(0.5 * (now_s + 0.05))
+        command = JointCommand(names=ARM_JOINTS, position=goal, duration_s=0.05)
+        one = to_joint_trajectory(command)
+        times["conversion"].append(timed(lambda one=one: commands_from_message(one)))
+
+        def pass_on(command: JointCommand = command, now_s: float = now_s) -> None:
+            limits.admit([command], now_s)
+            limits.note_sent(limits.limit(command, now_s).command, now_s)
+
+        times["limits, one point"].append(timed(pass_on))
+        if number % 50 == 0:
+            plan = [command] * 50
+            many = to_joint_trajectory(*plan)
+            times["conversion of 50 points"].append(
+                timed(lambda many=many: commands_from_message(many))
+            )
+            times["limits, 50 points"].append(
+                timed(lambda plan=plan, now_s=now_s: limits.admit(plan, now_s))
+            )
+    print(f"{'':54} {'median':>9} {'p99':>9}")
+    for name, values in times.items():
+        row(name, values)
+
+
+if __name__ == "__main__":
+    main()
