@@ -6,24 +6,29 @@ something, correct an argument, retry, stop the robot, or report a bug.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence
 from copy import copy
 from difflib import SequenceMatcher, get_close_matches
 from typing import ClassVar, Self
 
-_TYPING_ERROR = 0.8
-"""Similarity of names that differ by a letter or two."""
+_TYPING_ERROR, _SAME_START = 0.8, 0.66
+"""Similarity of names that differ by a letter or two, and of those that begin with the same letter.
+"""
+_WORD = re.compile(r"[^A-Za-z0-9]+")
 
 
 def nearest(name: str, known: Iterable[str], otherwise: str = "", *, likeness: float = 0.6) -> str:
     """Suggest the known name most similar to `name` as a question; `otherwise` if none is similar.
 
-    Shared letters alone do not make a typing error ("options" is not "python"): the first letter
-    must be the same, one name be a part of the other, or they differ by a letter or two.
+    Shared letters alone do not make a typing error ("options" is not "python", "port" is not
+    "transport"): one name has the words of the other, or they differ by a letter or two.
     """
     for close in get_close_matches(name, list(known), n=3, cutoff=likeness):
-        is_similar = close[:1] == name[:1] or close in name or name in close
-        if is_similar or not likeness or SequenceMatcher(a=name, b=close).ratio() >= _TYPING_ERROR:
+        words, others = set(_WORD.split(name)), set(_WORD.split(close))
+        alike = SequenceMatcher(a=name, b=close).ratio()
+        is_likely = alike >= (_SAME_START if close[:1] == name[:1] else _TYPING_ERROR)
+        if not likeness or is_likely or words <= others or others <= words:
             return f"Did you mean {close!r}?"
     return otherwise
 

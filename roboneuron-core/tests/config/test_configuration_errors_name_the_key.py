@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from rn_testing.fakes import FAKE_ROBOT, fake_registry
 from roboneuron.config import load_config, parse_config
 from roboneuron.errors import ConfigurationError, nearest
 from roboneuron.plugins.registry import Registry
@@ -79,13 +80,64 @@ def test_names_that_only_share_letters_are_not_suggested() -> None:
         ("ackend", "backend"),
         ("bakcend", "backend"),
         ("tolerance", "path_tolerance"),
+        ("controler", "control"),
     ],
 )
 def test_typing_errors_and_parts_of_names_are_suggested(typed: str, meant: str) -> None:
     assert (
-        nearest(typed, ["python", "backend", "timeout_s", "path_tolerance"])
+        nearest(typed, ["python", "backend", "timeout_s", "path_tolerance", "control", "colours"])
         == f"Did you mean {meant!r}?"
     )
+
+
+@pytest.mark.parametrize(
+    ("typed", "known"), [("port", "transport"), ("controler", "colours"), ("options", "python")]
+)
+def test_names_that_are_no_typing_error_are_not_suggested(typed: str, known: str) -> None:
+    assert nearest(typed, [known], likeness=0.5) == ""
+
+
+@pytest.mark.parametrize(
+    ("key", "given", "meant"),
+    [
+        ("driver", "ros2_control", "ros2-control"),
+        ("name", "FR3", "fr3"),
+        ("name", "my arm", "my-arm"),
+        ("name", "9arm", None),
+        ("name", "x" * 60 + "!", None),
+    ],
+)
+def test_a_name_of_another_form_gets_its_form_and_a_spelling(
+    key: str, given: str, meant: str | None
+) -> None:
+    robot = {"name": "arm", key: given}
+    text = "[robot]\n" + "\n".join(f'{name} = "{value}"' for name, value in robot.items())
+    with pytest.raises(ConfigurationError) as caught:
+        parse_config(text)
+    told = str(caught.value)
+    assert "a-z, 0-9" in told
+    assert ("Did you mean" in told) == (meant is not None)
+    assert meant is None or repr(meant) in told
+    assert "^[a-z]" not in told
+    assert len(told) < 400
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        ("[supervisor]\nstop_timeout_s = 3\n", "no robot is named"),
+        ("[view]\nenabled = true\n", "unknown key 'view'"),
+        ("[controler]\ncontroller = 'ik'\n", "unknown key 'controler'"),
+        ("controler = 1\n", "unknown key 'controler'"),
+        ("", "no robot is named"),
+    ],
+)
+def test_tables_without_a_robot_are_explained_by_what_is_there(text: str, named: str) -> None:
+    registry = fake_registry(FAKE_ROBOT)
+    with pytest.raises(ConfigurationError) as caught:
+        parse_config(text, registry=registry)
+    assert named in str(caught.value)
+    assert FAKE_ROBOT.name in caught.value.hint
 
 
 def test_every_error_is_reported_at_once() -> None:

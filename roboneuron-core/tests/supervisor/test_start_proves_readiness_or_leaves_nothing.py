@@ -134,7 +134,7 @@ def test_a_hang_in_configure_ends_at_the_timeout_of_that_module(
         update={"robot": config.robot.model_copy(update={"start_timeout_s": 10.0})}
     )
     stages: list[str] = []
-    with pytest.raises(NotReadyError, match="missing: the end of 'configure'") as caught:
+    with pytest.raises(NotReadyError, match="missing: the answer to 'configure'") as caught:
         supervisor.start(fake_plan("robot", config), on_stage=stages.append)
     assert "raise start_timeout_s in [robot]" in caught.value.hint
     assert any(

@@ -26,7 +26,7 @@ from roboneuron.plugins.loading import (
     read_table,
 )
 from roboneuron.plugins.registry import Registry
-from roboneuron.plugins.specs import FeatureSpec
+from roboneuron.plugins.specs import FeatureSpec, RobotSpec
 
 EMBEDDED_DEFAULT = "the embedded default"
 """Name, in messages, of the configuration that is used without a file."""
@@ -89,11 +89,37 @@ def parse_tables(raw: Mapping[str, Any], source: str, registry: Registry | None)
     """
     own = {key: value for key, value in raw.items() if key in KEYS}
     others = {key: value for key, value in raw.items() if key not in KEYS}
+    if "robot" not in own:
+        raise _without_robot(others, source, registry or discover())
     config = _checked(Config, own, source)
     if others:
         config = config.model_copy(update={"sections": others})
         check_sections(config, registry or discover(config.disabled_plugins), source)
     return config
+
+
+def _without_robot(
+    others: Mapping[str, Any], source: str, registry: Registry
+) -> ConfigurationError:
+    """Create the error for tables that name no robot; tables that nobody knows explain it best."""
+    known = {*KEYS, *_owners(registry), "robots"}
+    unknown = [explain_unknown(key, known) for key in others if key not in known]
+    robots = ", ".join(sorted(registry.specs(RobotSpec))) or "none"
+    return ConfigurationError(
+        "\n".join(f"{source}: {told}" for told in unknown) or f"{source}: no robot is named.",
+        hint=f'Write [robot] with name = "...", one of: {robots}. '
+        "Or begin from `roboneuron config show`.",
+    )
+
+
+def _owners(registry: Registry) -> dict[str, str]:
+    """Names of the features by the sections that they read."""
+    return {
+        key: offer.spec.name
+        for offer in registry.offers("feature")
+        if isinstance(offer.spec, FeatureSpec)
+        for key in offer.spec.keys
+    }
 
 
 def _read_robots(raw: Mapping[str, Any], source: str, registry: Registry | None) -> Config:
@@ -191,12 +217,7 @@ def check_sections(config: Config, registry: Registry, source: str = "roboneuron
         ConfigurationError: an unknown key, an invalid value, or a section of a feature that cannot
             be used, with the reason.
     """
-    owners = {
-        key: offer.spec.name
-        for offer in registry.offers("feature")
-        if isinstance(offer.spec, FeatureSpec)
-        for key in offer.spec.keys
-    }
+    owners = _owners(registry)
     used: dict[str, FeatureSpec] = {}
     for key in config.sections:
         name = owners.get(key, key.replace("_", "-"))

@@ -95,7 +95,10 @@ class ModuleNode(ModuleHost):
         """Reason why motion cannot be permitted; empty if it can. For the number see `_permit`."""
         if self.stopped:
             return "the emergency stop is latched"
-        return "" if stops == self.stops else "a stop came since motion was asked for"
+        if stops == self.stops:
+            return ""
+        cause = f" ({self.needs_start})" if self.needs_start else ""
+        return f"a stop came since motion was asked for{cause}"
 
     def _permit(self, stops: int) -> None:
         """Permit motion again after a request for motion that is newer than the latest stop.

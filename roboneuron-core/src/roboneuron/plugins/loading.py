@@ -5,6 +5,7 @@ heavy step.
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import date, time
 from importlib import import_module
@@ -12,12 +13,19 @@ from operator import attrgetter
 from pathlib import PurePath
 from typing import TYPE_CHECKING, Any, TypeVar, get_args
 
-from roboneuron.errors import ConfigurationError, MissingDependencyError, PluginError, nearest
+from roboneuron.errors import (
+    ConfigurationError,
+    MissingDependencyError,
+    PluginError,
+    nearest,
+    shortened,
+)
 from roboneuron.plugins import availability
 from roboneuron.plugins.specs import Loadable
 
 if TYPE_CHECKING:
     from pydantic import BaseModel, ValidationError
+    from pydantic_core import ErrorDetails
 
 M = TypeVar("M", bound="BaseModel")
 
@@ -185,7 +193,7 @@ def _explain(
     error: ValidationError, root: type[BaseModel], place: str, is_partial: bool
 ) -> Iterator[str]:
     """Yield a sentence for each problem found by the model `root`; see `validated`."""
-    for problem in error.errors(include_url=False, include_context=False):
+    for problem in error.errors(include_url=False):
         path = problem["loc"]
         key = ".".join(filter(None, (place, *map(str, path))))
         if is_partial and (not path or (problem["type"] == "missing" and len(path) == 1)):
@@ -194,9 +202,30 @@ def _explain(
             yield explain_unknown(key, option_names(root, path[:-1]))
         elif problem["type"] == "missing":
             yield f"{key!r} is missing."
+        elif problem["type"] == "string_pattern_mismatch":
+            yield f"{key} = {shortened(problem['input'])}: {_misspelt(problem)}"
         else:
             words = problem["msg"]
-            yield f"{key} = {problem['input']!r}: {words[0].lower()}{words[1:]}."
+            yield f"{key} = {shortened(problem['input'])}: {words[0].lower()}{words[1:]}."
+
+
+def _misspelt(problem: ErrorDetails) -> str:
+    """Describe the form of a name, with a spelling of the given one that has it if there is one."""
+    pattern, given = str(problem["ctx"]["pattern"]), str(problem["input"])[:_LONGEST_NAME]
+    form = _FORMS.get(pattern, f"expected the form {pattern}")
+    for mark in "-_":
+        spelling = re.sub(r"[\s_-]+", mark, given.strip().lower())
+        if re.fullmatch(pattern, spelling):
+            return f"{form}. Did you mean {spelling!r}?"
+    return f"{form}."
+
+
+_LONGEST_NAME = 64
+_FORMS = {
+    r"^[a-z][a-z0-9-]*$": "a name is made of a-z, 0-9 and '-', and begins with a letter",
+    r"^[a-z][a-z0-9_]*$": "a name is made of a-z, 0-9 and '_', and begins with a letter",
+}
+"""What the commonest patterns of names mean."""
 
 
 def _plain(value: object) -> object:

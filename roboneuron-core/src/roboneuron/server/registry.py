@@ -12,6 +12,7 @@ import uuid
 from base64 import b64encode
 from collections import Counter
 from collections.abc import Awaitable, Callable, Iterable, Mapping
+from itertools import chain
 from typing import Any
 
 from mcp import types
@@ -22,6 +23,7 @@ from roboneuron.errors import (
     NotReadyError,
     RefusedError,
     RoboNeuronError,
+    nearest,
     shortened,
 )
 from roboneuron.gate.roles import Role
@@ -37,6 +39,7 @@ _MOST_TEXT = 2000
 """Maximum length of an error's text [characters]."""
 _MOST_ANSWER = 100_000
 """Maximum length of a read-only tool's answer [characters], for tools without their own bound."""
+_LISTED = "tools/list (`roboneuron tools`) names those that this robot has."
 _FIXED = ""
 """Owner of the tools that were added; the others are derived."""
 ERROR_META = "roboneuron/error"
@@ -244,7 +247,9 @@ class ToolRegistry:
         tool = self.get(name)
         if tool is None:
             raise InvalidInputError(
-                f"There is no tool {shortened(name)}.", hint="See tools/list.", path="tool"
+                f"There is no tool {shortened(name)}.",
+                hint=nearest(name, {*chain(*self._owned.values())}, _LISTED),
+                path="tool",
             )
         tool.check_caller(context)
         if tool.urgent is not None:

@@ -154,7 +154,7 @@ class Bringup:
         before = report.error_count if report is not None else 0
         made = self._client.transition(name, self._left_s())
         if made is None:
-            raise self._too_late(f"the end of {name!r}")
+            raise self._too_late(f"the answer to {name!r}")
         if made:
             return
 

@@ -66,7 +66,9 @@ def measure_image_transport() -> ImageTransport:
             )
         except subprocess.TimeoutExpired as error:
             raise NotReadyError(
-                f"The process that sends images hung for {_TIMEOUT_S:g} s."
+                f"The process that sends images took longer than {_TIMEOUT_S:g} s.",
+                hint=f"The load of this machine is {os.getloadavg()[0]:.0f} on {os.cpu_count()} "
+                "processors: run `roboneuron doctor` again when less runs beside it.",
             ) from error
         if sender.returncode != 0:
             words = sender.stderr.strip().splitlines()

@@ -6,7 +6,7 @@ import re
 from collections import Counter
 from collections.abc import Mapping
 
-from roboneuron import ConfigurationError, FeatureSpec
+from roboneuron import ConfigurationError, FeatureSpec, RobotSpec
 from roboneuron.feature import Config, Registry, reading
 
 
@@ -38,9 +38,16 @@ def read_robots(raw: Mapping[str, object], source: str, registry: Registry) -> C
             raise ConfigurationError(
                 f"{place}: a robot's name is made of a-z, 0-9, - and _, at most 32."
             )
-        if not isinstance(table, dict) or "robot" not in table:
+        if not isinstance(table, dict):
             raise ConfigurationError(
-                f"{place}: 'robot' is missing.", hint='Write `robot = "husky"`, for instance.'
+                f"{source}: robots.{name} = {table!r}: expected a table.",
+                hint="For one robot write [robot]; for several, [robots.NAME] for each.",
+            )
+        if "robot" not in table:
+            kinds = ", ".join(sorted(registry.specs(RobotSpec))) or "none"
+            raise ConfigurationError(
+                f"{place}: 'robot' is missing.",
+                hint=f'Write which it is, such as `robot = "husky"`; installed: {kinds}.',
             )
         for key in sorted(
             {"server", "ros", "disabled_plugins", "features", "robots", *served} & table.keys()
