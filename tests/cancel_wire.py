@@ -153,6 +153,14 @@ class HttpClient(WireClient):
         told = [json.loads(line[6:]) for line in lines if line.startswith("data: {")]
         return next((one for one in told if "id" in one), None) or dict(answer.json())
 
+    def said(self) -> str:
+        """The end of what the server has sent for the last call so far."""
+        assert self._call is not None
+        self._call.setblocking(False)
+        with suppress(BlockingIOError):
+            return self._call.recv(65536).decode()[-2000:]
+        return "nothing yet"
+
     def leave_call(self) -> None:
         """Close the connection of the last call."""
         if self._call is not None:
@@ -206,6 +214,13 @@ class StdioClient(WireClient):
         while (line := self._lines.get(timeout=180)).get("id") != message["id"]:
             pass
         return line
+
+    def said(self) -> str:
+        """The messages of the server that were not read."""
+        told = []
+        while not self._lines.empty():
+            told.append(str(self._lines.get())[:500])
+        return "; ".join(told) or "nothing yet"
 
     def leave_call(self) -> None:
         """A call has no connection of its own."""
@@ -270,7 +285,7 @@ def check_cell(
     transport, version = client.transport, client.version
     try:
         client.begin(*call)
-        wait_until(moves, 30.0, f"{call[0]} moves something")
+        assert holds_within(moves, 60.0), f"{call[0]} moves nothing: {client.said()}"
         assert client.cancel(way) == answered(transport, version, way)
         if way == "wrong id":
             assert not holds_within(lambda: not moves(), 0.3), "the call of another id was ended"

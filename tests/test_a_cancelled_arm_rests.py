@@ -33,6 +33,7 @@ pytestmark = [pytest.mark.ros, pytest.mark.slow, pytest.mark.timeout(300)]
 REST_S = 3.0
 """Deceleration, the window in which rest is measured, and a busy machine."""
 WINDOW_S, STILL_RAD, MOVES_RAD = 0.3, 0.003, 0.01
+LEAST_SAMPLES = 5
 INSTRUCTION = "pick up the red cube"
 NEVER = {"kind": "tcp_in", "lower_m": [9, 9, 9], "upper_m": [10, 10, 10]}
 HELD = {"kind": "held", "for_s": 0.3, "of": {"kind": "gripper_holds"}}
@@ -100,17 +101,24 @@ class Arm:
     def _take(self, message: Any) -> None:
         self._seen.append((time.monotonic(), list(message.position)))
 
-    def _travel(self) -> float:
-        """Largest change of a joint within the window [rad or m]."""
-        since_s = time.monotonic() - WINDOW_S
-        seen = [joints for at_s, joints in tuple(self._seen) if at_s >= since_s]
-        return max((max(one) - min(one) for one in zip(*seen, strict=True)), default=0.0)
+    def _travel(self) -> float | None:
+        """Largest change of a joint within the newest window [rad or m]; None without
+        measurements that fill it.
+        """
+        now_s, seen = time.monotonic(), tuple(self._seen)
+        if not seen or now_s - seen[-1][0] > WINDOW_S / 2:
+            return None
+        inside = [one for one in seen if one[0] >= now_s - WINDOW_S]
+        if len(inside) < LEAST_SAMPLES or inside[-1][0] - inside[0][0] < WINDOW_S / 2:
+            return None
+        return max(max(one) - min(one) for one in zip(*(j for _, j in inside), strict=True))
 
     def rests(self) -> bool:
-        return self._travel() < STILL_RAD
+        travel = self._travel()
+        return travel is not None and travel < STILL_RAD
 
     def moves(self) -> bool:
-        return self._travel() > MOVES_RAD
+        return (self._travel() or 0.0) > MOVES_RAD
 
     def use(self, transport: str, version: str, way: Way) -> HttpClient | StdioClient:
         """A client of the running server, or of a new one; the arm is started."""

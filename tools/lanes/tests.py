@@ -206,7 +206,7 @@ def test_parity(session: nox.Session) -> None:
 
 
 @lane
-def interop(session: nox.Session) -> None:
+def test_conformance(session: nox.Session) -> None:
     """MCP Inspector and the public conformance suite against our server (npm)"""
     python(session, "tests/interop/check.py")
 
