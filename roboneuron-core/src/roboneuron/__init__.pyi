@@ -68,6 +68,9 @@ from .contract.arrays import (
     F64 as F64,
     freeze as freeze,
 )
+from .contract.encodings import (
+    MEASURE_ENCODINGS as MEASURE_ENCODINGS,
+)
 from .contract.image import (
     MAX_SIDE_PX as MAX_SIDE_PX,
 )

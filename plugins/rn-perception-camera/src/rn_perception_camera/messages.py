@@ -26,7 +26,7 @@ def to_rgb(message: Image) -> U8:
     memory.
 
     Raises:
-        InvalidInputError: an encoding that is not 8-bit grey or colour, or a damaged size.
+        InvalidInputError: an encoding that is unknown or no picture, or a damaged size.
     """
     return frame_from_buffer(
         message.data,
@@ -34,6 +34,7 @@ def to_rgb(message: Image) -> U8:
         height=message.height,
         step=message.step,
         encoding=message.encoding,
+        is_bigendian=bool(message.is_bigendian),
     )
 
 
@@ -44,7 +45,10 @@ def decompress(message: CompressedImage) -> U8:
         InvalidInputError: another format, depth data, more than 8 bits, or a damaged or huge image.
     """
     if "compressedDepth" in message.format:
-        raise InvalidInputError(f"Its format is {message.format!r}, which is depth and no picture.")
+        raise InvalidInputError(
+            f"Its format is {message.format!r}, which is depth and no picture.",
+            hint="Use the topic of colour or grey images.",
+        )
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error", Pillow.DecompressionBombWarning)
@@ -55,7 +59,8 @@ def decompress(message: CompressedImage) -> U8:
             )
         if picture.mode not in _MODES:
             raise InvalidInputError(
-                f"Its pixels are {picture.mode!r}, expected one of {', '.join(_MODES)}."
+                f"Its pixels are {picture.mode!r}, expected one of {', '.join(_MODES)}.",
+                hint="Let the driver compress 8-bit grey or colour images.",
             )
         return np.asarray(picture.convert("RGB"))
     except (
@@ -66,6 +71,7 @@ def decompress(message: CompressedImage) -> U8:
         Pillow.DecompressionBombWarning,
     ) as error:
         raise InvalidInputError(
-            f"{len(message.data)} bytes of format {message.format!r} are no whole JPEG or PNG "
-            f"image: {error}."
+            f"{len(message.data)} bytes of format {message.format[:60]!r} are no whole JPEG or PNG "
+            f"image ({type(error).__name__}).",
+            hint='Let the driver compress as JPEG or PNG, or use the raw topic: transport = "raw".',
         ) from error

@@ -213,8 +213,16 @@ class CameraFeed:
                 f"An image of camera {self._profile.name!r} on topic {self._options.topic!r} "
                 "cannot be used."
                 f" {error.message}",
-                hint="Let the driver publish 8-bit grey or colour images.",
+                hint=error.hint or self._other_way(),
             ) from error
+
+    def _other_way(self) -> str:
+        return (
+            "Let the driver publish one of these, or use its compressed topic: "
+            'transport = "compressed".'
+            if self._options.transport == "raw"
+            else 'Use the driver\'s raw topic: transport = "raw".'
+        )
 
     def _prepare(self, size: Size) -> Preparation:
         facts = self._facts

@@ -10,9 +10,12 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from roboneuron import InvalidInputError, frame_from_buffer
 
 IMAGE = "sensor_msgs/msg/Image"
 COMPRESSED = "sensor_msgs/msg/CompressedImage"
@@ -123,7 +126,7 @@ def pixels_of(message: object, type_name: str) -> NDArray[np.uint8]:
     """A decoded `Image` or `CompressedImage` -> uint8 (H, W, 3), RGB.
 
     Raises:
-        ValueError: of another type, or an encoding without colours.
+        ValueError: of another type, or an encoding that is no picture.
     """
     if type_name == COMPRESSED:
         import simplejpeg  # heavy
@@ -132,14 +135,15 @@ def pixels_of(message: object, type_name: str) -> NDArray[np.uint8]:
         return decoded
     if type_name != IMAGE:
         raise ValueError(f"{type_name} is no image")
-    encoding, height = str(message.encoding), int(message.height)  # type: ignore[attr-defined]
-    if encoding not in _COLOURS:
-        raise ValueError(f"images encoded as {encoding!r} have no colours")
-    width, step, channels = int(message.width), int(message.step), _COLOURS[encoding][1]  # type: ignore[attr-defined]
-    rows = np.frombuffer(bytes(message.data), np.uint8).reshape(height, step)  # type: ignore[attr-defined]
-    pixels = rows[:, : width * channels].reshape(height, width, channels)
-    if encoding == "mono8":
-        pixels = np.repeat(pixels, 3, axis=2)
-    elif encoding == "bgr8":
-        pixels = pixels[:, :, ::-1]
-    return np.ascontiguousarray(pixels)
+    image: Any = message
+    try:
+        return frame_from_buffer(
+            image.data,
+            width=image.width,
+            height=image.height,
+            step=image.step,
+            encoding=image.encoding,
+            is_bigendian=bool(image.is_bigendian),
+        )
+    except InvalidInputError as error:
+        raise ValueError(str(error)) from error

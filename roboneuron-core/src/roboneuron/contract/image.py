@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from roboneuron.contract.encodings import MEASURE_ENCODINGS, PICTURE_ENCODINGS
 from roboneuron.errors import InvalidInputError
 
 U8 = NDArray[np.uint8]
@@ -29,45 +29,60 @@ def check_rgb8(image: NDArray[Any]) -> U8:
     return image
 
 
-_ENCODINGS: dict[str, tuple[int, Callable[[U8], U8] | None]] = {
-    "rgb8": (3, None),
-    "bgr8": (3, lambda pixels: pixels[:, :, ::-1]),
-    "rgba8": (4, lambda pixels: pixels[:, :, :3]),
-    "bgra8": (4, lambda pixels: pixels[:, :, 2::-1]),
-    "mono8": (1, lambda pixels: np.repeat(pixels, 3, axis=2)),
-}
-"""Number of channels, and the conversion to RGB."""
-
-
-def frame_from_buffer(data: Any, *, width: int, height: int, step: int, encoding: str) -> U8:
+def frame_from_buffer(
+    data: Any, *, width: int, height: int, step: int, encoding: str, is_bigendian: bool = False
+) -> U8:
     """Return the RGB image (H, W, 3) held in an image message's buffer.
 
     `rgb8` without row padding is returned as a view on `data` (about 1 us); everything else costs
-    one copy.
+    a copy, and YUV and Bayer a conversion.
 
     Args:
         data: any buffer of bytes (array.array('B') as rclpy delivers it, bytes, ndarray).
         width, height: size in pixels.
-        step: bytes per row, at least width * channels.
-        encoding: a ROS image encoding (sensor_msgs/image_encodings).
+        step: bytes per row, at least those of the pixels; the last row may lack its padding.
+        encoding: a ROS image encoding, see `roboneuron.contract.encodings`.
+        is_bigendian: byte order of numbers of 16 bits, of which the higher 8 are taken.
 
     Raises:
-        InvalidInputError: unknown encoding, or a buffer that does not hold `height` rows of `step`
-            bytes.
+        InvalidInputError: an encoding that is unknown or no picture, a size that the encoding
+            cannot have, or a buffer that does not hold the rows of `step` bytes.
     """
-    if encoding not in _ENCODINGS:
-        raise InvalidInputError(
-            f"Image encoding {encoding!r} cannot be read, expected one of {', '.join(_ENCODINGS)}."
-        )
-    channels, convert = _ENCODINGS[encoding]
+    layout = PICTURE_ENCODINGS.get(encoding)
+    if layout is None:
+        raise _unreadable(encoding)
     if not (1 <= width <= MAX_SIDE_PX and 1 <= height <= MAX_SIDE_PX):
         raise InvalidInputError(f"Image size {width}x{height} is outside 1..{MAX_SIDE_PX} pixels.")
-    buffer = np.frombuffer(data, dtype=np.uint8)
-    if step < width * channels or buffer.size != step * height:
+    if layout.convert is not None and (width % layout.columns or height % layout.of):
         raise InvalidInputError(
-            f"Image buffer holds {buffer.size} bytes with step {step}, expected {height} rows of "
-            "at least "
-            f"{width * channels} bytes for {width}x{height} {encoding}."
+            f"An image of {width}x{height} cannot be {encoding}, whose width is a multiple of "
+            f"{layout.columns} and height of {layout.of}."
         )
-    pixels = buffer.reshape(height, step)[:, : width * channels].reshape(height, width, channels)
-    return pixels if convert is None else np.ascontiguousarray(convert(pixels))
+    buffer = np.frombuffer(data, dtype=np.uint8)
+    row_bytes, rows = width * layout.pixel_bytes, height * layout.rows // layout.of
+    if step < row_bytes or buffer.size != step * rows:
+        if step < row_bytes or not step * (rows - 1) + row_bytes <= buffer.size < step * rows:
+            raise InvalidInputError(
+                f"Image buffer holds {buffer.size} bytes with step {step}, expected {rows} rows of "
+                f"at least {row_bytes} bytes for {width}x{height} {encoding}."
+            )
+        buffer = np.pad(buffer, (0, step * rows - buffer.size))
+    pixels = buffer.reshape(rows, step)[:, :row_bytes]
+    if layout.convert is None:
+        return pixels.reshape(height, width, 3)
+    if layout.sample_bytes > 1 and is_bigendian:
+        pixels = pixels.reshape(rows, -1, layout.sample_bytes)[:, :, ::-1].reshape(rows, -1)
+    return np.ascontiguousarray(layout.convert(pixels, height))
+
+
+def _unreadable(encoding: str) -> InvalidInputError:
+    if encoding in MEASURE_ENCODINGS:
+        return InvalidInputError(
+            f"Image encoding {encoding!r} is depth or another measure and no picture.",
+            hint="Use the camera's topic of colour or grey images.",
+        )
+    small, known = encoding.lower(), ", ".join(PICTURE_ENCODINGS)
+    return InvalidInputError(
+        f"Image encoding {encoding[:60]!r} cannot be read, expected one of {known}.",
+        hint=f"Let the driver write {small!r}." if small in PICTURE_ENCODINGS else "",
+    )

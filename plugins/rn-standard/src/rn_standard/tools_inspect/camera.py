@@ -127,7 +127,7 @@ def read_frame(host: Host, camera: str, timeout_s: float) -> Frame:
             f"Camera {camera!r} delivered no image on {topic} within {timeout_s:g} s.",
             hint=_hint(host),
         )
-    return _frame(received[0], camera)
+    return frame_of(received[0], camera)
 
 
 def encode(frame: Frame, form: Format) -> Picture:
@@ -169,7 +169,8 @@ def _hint(host: Host) -> str:
     return "Call start_perception first."
 
 
-def _frame(message: Image, camera: str) -> Frame:
+def frame_of(message: Image, camera: str) -> Frame:
+    """Frame of an image message. Raises InvalidInputError: it is damaged or no picture."""
     stamp_ns = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
     if stamp_ns <= 0:
         raise InvalidInputError(
@@ -181,6 +182,7 @@ def _frame(message: Image, camera: str) -> Frame:
         height=message.height,
         step=message.step,
         encoding=message.encoding,
+        is_bigendian=bool(message.is_bigendian),
     )
     return Frame(
         camera=camera, image=pixels, stamp_ns=stamp_ns, frame_id=message.header.frame_id or camera

@@ -8,6 +8,7 @@ import time
 from dataclasses import asdict
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
+from typing import Any
 
 from rn_standard.tools_loop.results import ModuleStatus, RobotStatus, StatusResult
 from roboneuron import CallContext, Host, NoArguments, Resource, Tool, __version__
@@ -33,14 +34,14 @@ def status(host: Host) -> StatusResult:
     loop = host.loop
     omitted = host.features.omitted
     cause = loop.emergency_stop.cause()
+    known: dict[str, Any] = {"emergency_stop_cause": cause, "left_out": omitted}
     return StatusResult(
         robot=RobotStatus(**asdict(loop.robot_facts)),
         modules=[ModuleStatus.of(view) for view in loop.modules.views()],
         emergency_stop=loop.emergency_stop.is_latched(),
-        **({"emergency_stop_cause": cause} if cause else {}),
+        **{name: value for name, value in known.items() if value},
         namespace=loop.config.namespace,
         tightened_limits=_tightened(loop),
-        **({"left_out": omitted} if omitted else {}),
         uptime_s=round(time.monotonic() - host.started_s, 1),
         pid=os.getpid(),
         versions=_versions(),

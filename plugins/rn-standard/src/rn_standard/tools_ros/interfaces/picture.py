@@ -13,21 +13,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from roboneuron import InvalidInputError, frame_from_buffer
+from roboneuron import MEASURE_ENCODINGS, InvalidInputError, frame_from_buffer
 
 if TYPE_CHECKING:
     import PIL.Image
     from sensor_msgs.msg import CompressedImage, Image
 
-_GREY_DTYPES = {
-    "16UC1": "u2",
-    "mono16": "u2",
-    "16SC1": "i2",
-    "32FC1": "f4",
-    "32SC1": "i4",
-    "64FC1": "f8",
-}
-_ALIASES = {"8UC1": "mono8", "8UC3": "bgr8", "8UC4": "bgra8"}
+_GREY_DTYPES = {**MEASURE_ENCODINGS, "mono16": "u2"}
+"""Encodings that are stretched to grey; of `mono16`, most cameras use 10 or 12 bits."""
+_GREY = ("mono8", "8UC1")
 _JPEG_QUALITY = 85
 _MAX_PIXELS = 64_000_000
 PICTURE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
@@ -68,14 +62,11 @@ def to_picture(
     if hasattr(message, "format"):
         image = _open_compressed(message)
     else:
-        encoding = _ALIASES.get(message.encoding, message.encoding)
-        if encoding.startswith("bayer_") and encoding.endswith("8"):
-            encoding, note = "mono8", f"raw {message.encoding} mosaic shown as grey"
-        if encoding in _GREY_DTYPES:
-            grey, note = _to_grey(message, encoding)
+        if message.encoding in _GREY_DTYPES:
+            grey, note = _to_grey(message, message.encoding)
             image = Image.fromarray(grey)
         else:
-            image = _to_colour(message, encoding)
+            image = _to_colour(message)
     if max(image.size) > longest_side_px:
         note = f"{note + '; ' if note else ''}scaled down from {image.width}x{image.height}"
         image.thumbnail((longest_side_px, longest_side_px))
@@ -95,29 +86,30 @@ def to_picture(
     )
 
 
-def _to_colour(message: Image, encoding: str) -> PIL.Image.Image:
-    """Convert colour encodings. Raises InvalidInputError as `frame_from_buffer`, with the other
-    supported encodings.
-    """
+def _to_colour(message: Image) -> PIL.Image.Image:
+    """Convert the other encodings. Raises InvalidInputError as `frame_from_buffer`."""
     from PIL import Image as Picture  # heavy: only where pictures are made
 
-    try:
-        pixels = frame_from_buffer(
-            message.data,
-            width=message.width,
-            height=message.height,
-            step=message.step,
-            encoding=encoding,
-        )
-    except InvalidInputError as error:
-        others = ", ".join((*_GREY_DTYPES, *_ALIASES))
-        raise error.with_hint(f"Shown are also: {others}.") from error
-    return Picture.fromarray(pixels[:, :, 0] if encoding == "mono8" else pixels)
+    pixels = frame_from_buffer(
+        message.data,
+        width=message.width,
+        height=message.height,
+        step=message.step,
+        encoding=message.encoding,
+        is_bigendian=bool(message.is_bigendian),
+    )
+    is_grey = message.encoding in _GREY
+    return Picture.fromarray(np.ascontiguousarray(pixels[:, :, 0]) if is_grey else pixels)
 
 
 def _open_compressed(message: CompressedImage) -> PIL.Image.Image:
     from PIL import Image, UnidentifiedImageError  # heavy
 
+    if "compressedDepth" in message.format:
+        raise InvalidInputError(
+            f"An image of the format {message.format[:60]!r} is depth and cannot be shown.",
+            hint="Read the topic of raw depth images, which is shown as grey.",
+        )
     try:
         image = Image.open(io.BytesIO(bytes(message.data)), formats=("JPEG", "PNG"))
         if image.width * image.height > _MAX_PIXELS:

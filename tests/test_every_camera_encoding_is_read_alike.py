@@ -1,0 +1,273 @@
+"""Every encoding of images, read by the camera source of policies, the agent's read tool,
+get_camera_image and the recorder's export: the same RGB everywhere, judged by conversions of this
+file; and what is no picture is refused by its name.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from PIL import Image as Pillow
+
+pytest.importorskip("rn_perception_camera")
+pytest.importorskip("rn_recorder_runs")
+
+from sensor_msgs.msg import CompressedImage, Image
+
+from rn_perception_camera.messages import decompress, to_rgb
+from rn_recorder_runs.images import pixels_of
+from rn_standard.tools_inspect.camera import encode, frame_of
+from rn_standard.tools_ros.interfaces.picture import to_picture
+from roboneuron import InvalidInputError
+
+U8 = NDArray[np.uint8]
+WIDTH, HEIGHT = 8, 6
+Pixel = Callable[[U8, int, int], tuple[float, float, float]]
+"""RGB of the pixel at row and column, from the rows of bytes; the plain formula."""
+
+
+def yuv(y: int, u: int, v: int) -> tuple[float, float, float]:
+    """Source: ITU-R BT.601-7, limited range, with the matrix from Kr = 0.299 and Kb = 0.114."""
+    luma, blue, red = (y - 16) / 219, (u - 128) / 224, (v - 128) / 224
+    r = luma + 2 * (1 - 0.299) * red
+    b = luma + 2 * (1 - 0.114) * blue
+    g = (luma - 0.299 * r - 0.114 * b) / 0.587
+    return 255 * r, 255 * g, 255 * b
+
+
+def channels(count: int, order: tuple[int, int, int], size: int = 1) -> Pixel:
+    def pixel(rows: U8, row: int, column: int) -> tuple[float, float, float]:
+        values = rows[row, column * count * size :].tolist()
+        return tuple(values[one * size + size - 1] for one in order)  # type: ignore[return-value]
+
+    return pixel
+
+
+def packed(y: int, u: int, v: int) -> Pixel:
+    def pixel(rows: U8, row: int, column: int) -> tuple[float, float, float]:
+        four = rows[row, column // 2 * 4 :].tolist()
+        return yuv(four[y + 2 * (column % 2)], four[u], four[v])
+
+    return pixel
+
+
+def planes(u: int, scale: int) -> Pixel:
+    def pixel(rows: U8, row: int, column: int) -> tuple[float, float, float]:
+        chroma = rows[HEIGHT:].reshape(-1).tolist()
+        at = (row // scale * (WIDTH // scale) + column // scale) * 2
+        return yuv(int(rows[row, column]), chroma[at + u], chroma[at + 1 - u])
+
+    return pixel
+
+
+def bayer(pattern: str, size: int = 1) -> Pixel:
+    """Mean of the neighbours that measure the colour, by bilinear weights."""
+
+    def pixel(rows: U8, row: int, column: int) -> tuple[float, float, float]:
+        found = []
+        for colour in "rgb":
+            total = weights = 0.0
+            for y in range(max(0, row - 1), min(HEIGHT, row + 2)):
+                for x in range(max(0, column - 1), min(WIDTH, column + 2)):
+                    if pattern[y % 2 * 2 + x % 2] == colour:
+                        weight = (2 - abs(y - row)) * (2 - abs(x - column))
+                        total += weight * int(rows[y, x * size + size - 1])
+                        weights += weight
+            found.append(total / weights)
+        return found[0], found[1], found[2]
+
+    return pixel
+
+
+RGB, BGR, GREY = (0, 1, 2), (2, 1, 0), (0, 0, 0)
+# encoding -> bytes a pixel, rows of bytes, formula, largest difference
+PICTURES: dict[str, tuple[int, int, Pixel, float]] = {
+    "rgb8": (3, 6, channels(3, RGB), 0),
+    "bgr8": (3, 6, channels(3, BGR), 0),
+    "rgba8": (4, 6, channels(4, RGB), 0),
+    "bgra8": (4, 6, channels(4, BGR), 0),
+    "mono8": (1, 6, channels(1, GREY), 0),
+    "8UC1": (1, 6, channels(1, GREY), 0),
+    "8UC3": (3, 6, channels(3, BGR), 0),
+    "8UC4": (4, 6, channels(4, BGR), 0),
+    "rgb16": (6, 6, channels(3, RGB, 2), 0),
+    "bgr16": (6, 6, channels(3, BGR, 2), 0),
+    "rgba16": (8, 6, channels(4, RGB, 2), 0),
+    "bgra16": (8, 6, channels(4, BGR, 2), 0),
+    "mono16": (2, 6, channels(1, GREY, 2), 0),
+    "yuv422": (2, 6, packed(1, 0, 2), 1),
+    "uyvy": (2, 6, packed(1, 0, 2), 1),
+    "yuv422_yuy2": (2, 6, packed(0, 1, 3), 1),
+    "yuyv": (2, 6, packed(0, 1, 3), 1),
+    "nv12": (1, 9, planes(0, 2), 1),
+    "nv21": (1, 9, planes(1, 2), 1),
+    "nv24": (1, 18, planes(0, 1), 1),
+    **{f"bayer_{p}8": (1, 6, bayer(p), 1) for p in ("rggb", "bggr", "gbrg", "grbg")},
+    **{f"bayer_{p}16": (2, 6, bayer(p, 2), 1) for p in ("rggb", "bggr", "gbrg", "grbg")},
+}
+MEASURES = ("16UC1", "16SC1", "32SC1", "32FC1", "64FC1")
+UNKNOWN = ("", "RGB8", "theora", "32FC3", "8UC2", "bayer_rggb")
+WIDE = [name for name in PICTURES if name.endswith("16")]
+
+
+def stamped(message: Any) -> Any:
+    message.header.stamp.sec = 1
+    return message
+
+
+def picture(name: str, padding: int = 0, big: bool = False, cut: int = 0) -> tuple[Image, U8]:
+    """A message with random content, and its rows of little-endian bytes."""
+    size, count, *_ = PICTURES[name]
+    rng = np.random.default_rng(len(name) + size)
+    rows = rng.integers(0, 256, (count, WIDTH * size), dtype=np.uint8)
+    sent = rows.reshape(count, -1, 2)[:, :, ::-1].reshape(count, -1) if big else rows
+    padded = np.pad(sent, ((0, 0), (0, padding)), constant_values=77)
+    data = padded.tobytes()
+    message = Image(width=WIDTH, height=HEIGHT, encoding=name, step=padded.shape[1])
+    message.is_bigendian = int(big)
+    message.data = data[: len(data) - cut]
+    return stamped(message), rows
+
+
+def expected(name: str, rows: U8) -> NDArray[np.float64]:
+    pixel = PICTURES[name][2]
+    found = [[pixel(rows, y, x) for x in range(WIDTH)] for y in range(HEIGHT)]
+    return np.clip(np.array(found), 0, 255)
+
+
+def opened(data: bytes) -> U8:
+    return np.asarray(Pillow.open(io.BytesIO(data)).convert("RGB"))
+
+
+def shown(message: Image) -> U8:
+    return opened(encode(frame_of(message, "front"), "png").data)
+
+
+def exported(message: Image) -> U8:
+    return pixels_of(message, "sensor_msgs/msg/Image")
+
+
+EXACT: dict[str, Callable[[Image], U8]] = {
+    "policy": to_rgb,
+    "get_camera_image": shown,
+    "export": exported,
+}
+
+
+@pytest.mark.parametrize("reader", EXACT)
+@pytest.mark.parametrize("name", PICTURES)
+@pytest.mark.parametrize("padding", [0, 4])
+def test_an_encoding_becomes_the_rgb_of_its_formula(name: str, reader: str, padding: int) -> None:
+    message, rows = picture(name, padding)
+    found = EXACT[reader](message).astype(float)
+    assert found.shape == (HEIGHT, WIDTH, 3)
+    assert np.abs(found - expected(name, rows)).max() <= PICTURES[name][3]
+
+
+@pytest.mark.parametrize("reader", EXACT)
+@pytest.mark.parametrize("name", WIDE)
+def test_the_byte_order_of_16_bits_is_respected(name: str, reader: str) -> None:
+    message, rows = picture(name, big=True)
+    found = EXACT[reader](message).astype(float)
+    assert np.abs(found - expected(name, rows)).max() <= PICTURES[name][3]
+
+
+@pytest.mark.parametrize("name", PICTURES)
+def test_the_read_tool_shows_every_picture(name: str) -> None:
+    message, rows = picture(name)
+    found = to_picture(message, longest_side_px=640)
+    assert (found.width, found.height) == (WIDTH, HEIGHT)
+    if name in ("mono8", "8UC1"):  # the others are JPEG, or stretched
+        assert np.array_equal(opened(found.data), expected(name, rows))
+
+
+READERS: dict[str, Callable[[Image], object]] = {
+    **EXACT,
+    "read tool": lambda message: to_picture(message, longest_side_px=640),
+}
+TO_REFUSE = (InvalidInputError, ValueError)
+
+
+@pytest.mark.parametrize("reader", READERS)
+def test_what_is_no_picture_is_refused_by_its_name(reader: str) -> None:
+    for name in (*MEASURES, *UNKNOWN):
+        message = stamped(Image(width=WIDTH, height=HEIGHT, encoding=name, step=64))
+        message.data = bytes(64 * HEIGHT)
+        if reader == "read tool" and name in MEASURES:
+            assert name in to_picture(message, longest_side_px=640).note
+            continue
+        with pytest.raises(
+            TO_REFUSE, match="no picture" if name in MEASURES else "expected one"
+        ) as e:
+            READERS[reader](message)
+        assert repr(name) in str(e.value)
+    assert "'rgb8'" in str(_error(Image(width=8, height=6, encoding="RGB8", step=24)))
+
+
+def _error(message: Image) -> InvalidInputError:
+    with pytest.raises(InvalidInputError) as caught:
+        to_rgb(message)
+    return caught.value
+
+
+@pytest.mark.parametrize("reader", READERS)
+@pytest.mark.parametrize("name", PICTURES)
+def test_sizes_that_do_not_fit_are_refused(name: str, reader: str) -> None:
+    whole, _ = picture(name)
+    short, _ = picture(name, cut=1)
+    narrow, _ = picture(name)
+    narrow.step -= 1
+    none, _ = picture(name)
+    none.width = none.height = none.step = 0
+    for message in (short, narrow, none):
+        with pytest.raises(TO_REFUSE):
+            READERS[reader](message)
+    if name.startswith(("yu", "uyvy", "bayer", "nv12", "nv21")):  # two columns share values
+        whole.width -= 1
+        with pytest.raises(TO_REFUSE):
+            READERS[reader](whole)
+
+
+@pytest.mark.parametrize("name", PICTURES)
+def test_the_last_row_may_lack_its_padding(name: str) -> None:
+    message, rows = picture(name, padding=4, cut=4)
+    found = to_rgb(message).astype(float)
+    assert np.abs(found - expected(name, rows)).max() <= PICTURES[name][3]
+
+
+def compressed(kind: str, form: str, file: str) -> CompressedImage:
+    buffer = io.BytesIO()
+    Pillow.new(kind, (16, 8), 100).save(buffer, file)
+    message = CompressedImage(format=form)
+    message.data = buffer.getvalue()
+    return message
+
+
+@pytest.mark.parametrize(
+    ("kind", "form", "file"),
+    [
+        ("RGB", "jpeg", "JPEG"),
+        ("L", "yuv422_yuy2; jpeg compressed mono8", "JPEG"),
+        ("RGB", "rgb8; png compressed bgr8", "PNG"),
+        ("RGBA", "png", "PNG"),
+    ],
+)
+def test_compressed_pictures_are_read(kind: str, form: str, file: str) -> None:
+    message = compressed(kind, form, file)
+    assert decompress(message).shape == (8, 16, 3)
+    assert to_picture(message, longest_side_px=640).width == 16
+
+
+@pytest.mark.parametrize("form", ["16UC1; compressedDepth png", "h264", "webp"])
+def test_other_compressed_forms_are_refused_by_their_name(form: str) -> None:
+    message = CompressedImage(format=form)
+    message.data = b"\0\0\0\1gabc"
+    for read in (decompress, lambda one: to_picture(one, longest_side_px=640)):
+        with pytest.raises(InvalidInputError, match=form.partition(";")[0]) as caught:
+            read(message)
+        assert "0x" not in str(caught.value)
