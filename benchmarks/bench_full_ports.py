@@ -1,13 +1,14 @@
 """Response time of an authenticated stop while a port of the server is flooded; on loopback only.
 
     python benchmarks/bench_full_ports.py                    # every port; about three minutes
-    python benchmarks/bench_full_ports.py --ports http --trials 5
+    python benchmarks/bench_full_ports.py --ports http view --rate 20000 --requests 700
 
 A server with `ulimit -n 1024`, MCP over HTTP with tokens, metrics and the live view. One port after
-the other gets 1,000 silent connections, then 6,000 connects a second, from separate processes.
-Meanwhile a client with a token repeatedly opens a connection and a session and calls
-`emergency_stop`; the stop is released in between. The shared model's port is a Unix socket of a
-separate process: it gets the same while the server's stop is measured.
+the other gets 1,000 silent connections, then 6,000 connects a second (--rate), and MCP and the view
+then so many requests at once (--requests), again and again, from separate processes. Meanwhile a
+client with a token repeatedly opens a connection and a session and calls `emergency_stop`, and for
+the view's port a page presses its stop; it is released in between. The shared model's port is a
+Unix socket of a separate process: it gets the same while the server's stop is measured.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, suppress
 from http.client import HTTPConnection, HTTPException
 from pathlib import Path
@@ -59,12 +60,13 @@ stateless = true
 directory = "{state}/model"
 """
 HANDLES = 1024
-IDLE, RATE = 1000, 6000
+IDLE, RATE, REQUESTS = 1000, 6000, 300
 LIMIT_S = 0.5
 START_S = 120.0
 FLOOD = """
 import resource, signal, socket, sys, time
 kind, family, address, number, seconds = sys.argv[1:]
+family_name = family
 address = address if family == "unix" else ("127.0.0.1", int(address))
 family = socket.AF_UNIX if family == "unix" else socket.AF_INET
 number, end = int(number), time.monotonic() + float(seconds)
@@ -79,7 +81,31 @@ def connect():
         pass
     return made
 
-if kind == "idle":
+if kind == "requests":
+    import os
+    token = os.environ.get("BENCH_TOKEN", "")
+    body = b'{"jsonrpc":"2.0","id":1,"method":"initialize","params":{"protocolVersion":"2025-06-18",' \
+        b'"capabilities":{},"clientInfo":{"name":"viewer","version":"1"}}}'
+    http = b"POST /mcp HTTP/1.1\r\nHost: 127.0.0.1\r\nAuthorization: Bearer " + token.encode() + \
+        b"\r\nAccept: application/json, text/event-stream\r\nContent-Type: application/json\r\n" \
+        b"Connection: close\r\nContent-Length: %d\r\n\r\n" % len(body) + body
+    page = b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nConnection: close\r\n\r\n"
+    print("begun", flush=True)
+    while time.monotonic() < end:
+        held = [connect() for _ in range(number)]
+        for one in held:
+            try:
+                one.sendall(http if family_name == "http" else page)
+            except OSError:
+                pass
+        for one in held:
+            try:
+                while one.recv(65536) and time.monotonic() < end:
+                    pass
+            except OSError:
+                pass
+            one.close()
+elif kind == "idle":
     held = [connect() for _ in range(number)]
     print("begun", flush=True)
     while time.monotonic() < end:
@@ -206,13 +232,29 @@ def _headers() -> dict[str, str]:
     }
 
 
-def measure(state: Path, port: int, trials: int) -> tuple[list[float], int]:
+def press_page(port: int, timeout_s: float) -> float:
+    """Time of a stop on the page by a new connection [s]; infinite if it failed."""
+    begun_s = time.monotonic()
+    try:
+        with closing(HTTPConnection("127.0.0.1", port, timeout=timeout_s)) as connection:
+            connection.request("GET", "/emergency_stop", headers={"X-RoboNeuron": "stop"})
+            answer = connection.getresponse()
+            answer.read()
+            took_s = time.monotonic() - begun_s
+            return took_s if answer.status == 200 else float("inf")
+    except (OSError, HTTPException):
+        return float("inf")
+
+
+def measure(
+    state: Path, port: int, trials: int, press: Callable[[int, float], float] = stop
+) -> tuple[list[float], int]:
     """Times of stops [s], and the number of them that latched."""
     latch = EmergencyStopLatch(state / ESTOP_FILE, time.time_ns)
     audit = AuditLog(state / "bench.jsonl", time.time_ns)
     times_s, latched = [], 0
     for _ in range(trials):
-        times_s.append(stop(port, 10.0))
+        times_s.append(press(port, 10.0))
         latched += (state / ESTOP_FILE).exists()
         if (state / ESTOP_FILE).exists():
             latch.is_latched()
@@ -231,27 +273,36 @@ def main(arguments: argparse.Namespace) -> int:
             measure(state, http, 3)
             show("nothing", *measure(state, http, arguments.trials))
             for port in arguments.ports:
-                for kind, number in (("idle", IDLE), ("connects", RATE)):
+                floods = [("idle", IDLE), ("connects", arguments.rate)]
+                if port in ("http", "view"):
+                    floods.append(("requests", arguments.requests))
+                for kind, number in floods:
                     seconds = str(arguments.trials * 1.5 + 5)
                     command = [
                         sys.executable,
                         "-c",
                         FLOOD,
                         kind,
-                        *ports[port],
+                        port if kind == "requests" else ports[port][0],
+                        ports[port][1],
                         str(number),
                         seconds,
                     ]
-                    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as flood:
+                    environment = os.environ | {"BENCH_TOKEN": TOKEN}
+                    with subprocess.Popen(
+                        command, stdout=subprocess.PIPE, text=True, env=environment
+                    ) as flood:
                         assert flood.stdout is not None
                         flood.stdout.readline()
-                        times_s, latched = measure(state, http, arguments.trials)
+                        pressed = press_page if port == "view" else stop
+                        aimed = int(ports[port][1]) if port == "view" else http
+                        times_s, latched = measure(state, aimed, arguments.trials, pressed)
                         flood.terminate()
                         rest = flood.stdout.read().strip()
                     rate = (
                         f"{float(rest):,.0f} a second"
-                        if kind != "idle" and rest
-                        else f"{number:,} held"
+                        if kind == "connects" and rest
+                        else f"{number:,} {'held' if kind == 'idle' else 'requests at once'}"
                     )
                     show(f"{port}: {rate}", times_s, latched)
                     is_good &= latched == arguments.trials and max(times_s) <= LIMIT_S
@@ -281,4 +332,6 @@ if __name__ == "__main__":
         default=["http", "metrics", "view", "shared-model"],
         choices=["http", "metrics", "view", "shared-model"],
     )
+    parser.add_argument("--rate", type=int, default=RATE, help="connects a second")
+    parser.add_argument("--requests", type=int, default=REQUESTS, help="requests at once")
     sys.exit(main(parser.parse_args()))

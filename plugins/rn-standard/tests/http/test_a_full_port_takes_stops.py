@@ -8,6 +8,7 @@ import os
 import resource
 import select
 import socket
+import struct
 from collections.abc import AsyncIterator, Callable, Coroutine, Iterator
 from contextlib import ExitStack, asynccontextmanager, closing, contextmanager
 from dataclasses import replace
@@ -173,6 +174,38 @@ def test_of_many_new_ones_only_those_with_a_right_are_served() -> None:
             answers = [await answer(connect()) for _ in range(8)]
             assert answers == [b"x"] * 5 + [b""] * 3
             assert await answer(connect(), KNOWN) == KNOWN
+
+    run(test)
+
+
+def test_one_with_a_right_is_served_before_the_queue_of_others() -> None:
+    async def test() -> None:
+        bound = socket.create_server(("127.0.0.1", 0), backlog=512)
+        with ExitStack() as stack:
+            listener = BoundedListener(bound, WIDE, lambda first: first.startswith(KNOWN))
+            stack.enter_context(closing(listener))
+            for said in [b"x"] * 20 + [KNOWN]:
+                made = socket.create_connection(listener.getsockname(), timeout=10)
+                stack.enter_context(closing(made))
+                made.sendall(said)
+            connection, _ = listener.accept()
+            stack.enter_context(closing(connection))
+            assert connection.recv(100) == KNOWN
+
+    run(test)
+
+
+@pytest.mark.parametrize("is_reset", [False, True])
+def test_those_that_have_left_cost_no_place_and_hold_nobody_up(is_reset: bool) -> None:
+    async def test() -> None:
+        async with listening(replace(WIDE, new=5)) as (listener, connect):
+            for _ in range(60):
+                gone = socket.create_connection(listener.getsockname(), timeout=10)
+                if is_reset:
+                    gone.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+                gone.close()
+            assert await answer(connect()) == b"x"
+            assert Echo.made == 1
 
     run(test)
 

@@ -14,8 +14,10 @@ emergency stop like everything else.
 from __future__ import annotations
 
 import asyncio
+import ctypes
 import errno
 import ipaddress
+import itertools
 import logging
 import os
 import resource
@@ -33,9 +35,15 @@ SocketAddress = tuple[str, int] | tuple[str, int, int, int]
 SILENT_S = 5.0
 """Time after which a silent connection is closed."""
 _PEEK_BYTES = 4096
-_MOST_AT_ONCE = 32
-"""New connections per iteration of the event loop, about 1 ms: calls are served between two
-iterations.
+_AT_ONCE, _TAKE_S = 32, 0.004
+"""New connections per iteration of the event loop: at least so many, and as many as come within
+this time [s]. Calls are served between two iterations; a queue that is emptied more slowly than it
+fills lets the kernel drop a client's first packet, which is repeated after a second.
+"""
+_LIBC = ctypes.PyDLL(None, use_errno=True)
+"""For calls that do not wait, without releasing the interpreter's lock: to get it back from a busy
+thread after each of three calls takes up to a millisecond, and most connections of a flood have
+ended before they are accepted.
 """
 BACKLOG = 2048
 """Length of the kernel's queue; if it is full, a new client retries only after a second."""
@@ -142,6 +150,8 @@ class BoundedListener(socket.socket):
         self._silent: dict[int, tuple[socket.socket, SocketAddress, float]] = {}
         self._unproven: dict[Peer, tuple[socket.socket, str]] = {}
         self._ready: deque[tuple[socket.socket, SocketAddress]] = deque()
+        self._ready_known: deque[tuple[socket.socket, SocketAddress]] = deque()
+        self._first = ctypes.create_string_buffer(1)
         self._has_looked = False
         self._new: Counter[str] = Counter()
         self._window_s = 0.0
@@ -155,14 +165,15 @@ class BoundedListener(socket.socket):
         return -1 if self._poll.closed else self._poll.fileno()
 
     def accept(self) -> tuple[socket.socket, SocketAddress]:
-        """Return a connection whose first bytes have arrived. Raises BlockingIOError if none is
-        left in this iteration.
+        """Return a connection whose first bytes have arrived, known ones first. Raises
+        BlockingIOError if none is left in this iteration.
         """
-        if not self._ready and not self._has_looked:
+        if not self._ready and not self._ready_known and not self._has_looked:
             self._has_looked = True
             self._look()
-        if self._ready:
-            return self._ready.popleft()
+        for ready in (self._ready_known, self._ready):
+            if ready:
+                return ready.popleft()
         self._has_looked = False
         raise BlockingIOError
 
@@ -174,9 +185,10 @@ class BoundedListener(socket.socket):
             self._timer.cancel()
         for connection, _, _ in self._silent.values():
             connection.close()
-        for connection, _ in self._ready:
+        for connection, _ in (*self._ready_known, *self._ready):
             connection.close()
         self._silent.clear()
+        self._ready_known.clear()
         self._ready.clear()
         self._poll.close()
         self._close_spare()
@@ -187,7 +199,7 @@ class BoundedListener(socket.socket):
         self._unproven.pop(peer, None)
 
     def _look(self) -> None:
-        for handle, _ in self._poll.poll(0, 2 * _MOST_AT_ONCE):
+        for handle, _ in self._poll.poll(0, 2 * _AT_ONCE):
             if handle == self._own:
                 self._take_new()
             elif handle in self._silent:
@@ -196,17 +208,29 @@ class BoundedListener(socket.socket):
                 self._hear(connection, address)
 
     def _take_new(self) -> None:
-        for _ in range(_MOST_AT_ONCE):
-            try:
-                connection, address = super().accept()
-            except (BlockingIOError, InterruptedError, ConnectionAbortedError):
+        end_s, flags = time.monotonic() + _TAKE_S, socket.SOCK_NONBLOCK | socket.SOCK_CLOEXEC
+        for count in itertools.count():
+            if count >= _AT_ONCE and time.monotonic() > end_s:
                 return
-            except OSError as error:
+            handle = _LIBC.accept4(self._own, None, None, flags)
+            if handle < 0:
+                error = OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
+                if isinstance(error, BlockingIOError | InterruptedError | ConnectionAbortedError):
+                    return
                 if error.errno not in _NO_HANDLES:
-                    raise
+                    raise error
                 self._do_without(error)
                 return
+            if _LIBC.recv(handle, self._first, 1, socket.MSG_PEEK) == 0:
+                _LIBC.close(handle)  # its peer has left
+                continue
+            connection = socket.socket(self.family, self.type, self.proto, fileno=handle)
             connection.setblocking(False)
+            try:
+                address = connection.getpeername()
+            except OSError:
+                connection.close()
+                continue
             self._hear(connection, address)
 
     def _hear(self, connection: socket.socket, address: SocketAddress) -> None:
@@ -218,8 +242,10 @@ class BoundedListener(socket.socket):
             return
         except OSError:
             first = b""
-        if first and self._admits(connection, address, first):
-            self._ready.append((connection, address))
+        is_known = bool(first) and self._is_known(first)
+        if first and self._admits(connection, address, is_known):
+            ready = self._ready_known if is_known else self._ready
+            ready.append((connection, address))
         else:
             connection.close()
 
@@ -234,9 +260,9 @@ class BoundedListener(socket.socket):
         if self._timer is None:
             self._timer = asyncio.get_running_loop().call_later(SILENT_S, self._expire)
 
-    def _admits(self, connection: socket.socket, address: SocketAddress, first: bytes) -> bool:
+    def _admits(self, connection: socket.socket, address: SocketAddress, is_known: bool) -> bool:
         bounds, source = self._bounds, network_of(address[0])
-        if self._is_known(first):
+        if is_known:
             if connection.fileno() >= bounds.handle:
                 self._drop_silent()
             return connection.fileno() < bounds.handle_known

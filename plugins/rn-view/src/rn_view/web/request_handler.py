@@ -10,6 +10,7 @@ import json
 import logging
 import threading
 from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from http import HTTPStatus
 from typing import Any
@@ -42,6 +43,7 @@ _PAGE_HEADERS = {
     "Cache-Control": "no-store",
     "Content-Type": "text/html; charset=utf-8",
 }
+_STOPS_AT_ONCE = 8
 _patching = threading.Lock()
 _silent = logging.getLogger(f"{__name__}.websockets")
 _silent.setLevel(logging.CRITICAL)
@@ -76,6 +78,8 @@ class RequestHandler:
         self._goal = goal
         self._open_pages = pages
         self._base = stop_bar.base_page()
+        # of its own: the requests of pages may fill the one that they share
+        self._stopping = ThreadPoolExecutor(_STOPS_AT_ONCE, thread_name_prefix="page-stop")
         self._page_bytes: dict[tuple[str, ...], tuple[bytes, bytes]] = {}
 
     async def answer(self, connection: ServerConnection, request: Request) -> Response | None:
@@ -160,7 +164,11 @@ class RequestHandler:
             return _json(HTTPStatus.NOT_FOUND, {"text": f"There is no robot {robot[:80]!r}"})
         chosen = {robot: robots[robot]} if robot in robots else robots
         who = self._who(request, str(connection.remote_address[0]))
-        pressed = [asyncio.to_thread(_press, name, source, who) for name, source in chosen.items()]
+        loop = asyncio.get_running_loop()
+        pressed = [
+            loop.run_in_executor(self._stopping, _press, name, source, who)
+            for name, source in chosen.items()
+        ]
         done = await asyncio.gather(*pressed)
         is_good = bool(done) and all(good for good, _ in done)
         text = " ".join(text for _, text in done) or "There is no robot to stop"

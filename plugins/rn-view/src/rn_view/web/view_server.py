@@ -17,6 +17,7 @@ from websockets.exceptions import ConnectionClosed
 from rn_standard.http.addresses import bind
 from rn_standard.http.listener import BoundedListener, other_bounds
 from rn_view.options import ViewOptions
+from rn_view.page import stop_bar
 from rn_view.page.client_page import Page
 from rn_view.page.robot_pages import RobotPages
 from rn_view.page.stop_bar import TITLE
@@ -118,7 +119,9 @@ class ViewServer:
             self._open_pages,
         )
         bound = bind("view", self._options.host, self._options.port, self._admission.tokens)
-        self._listener = BoundedListener(bound, other_bounds(_CONNECTIONS))
+        self._listener = BoundedListener(
+            bound, other_bounds(_CONNECTIONS), stop_bar.is_stop_request
+        )
         with (
             served_by(self._listener, web, self._lead_sockets),
             contextlib.redirect_stdout(io.StringIO()),
