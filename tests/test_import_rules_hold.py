@@ -16,7 +16,7 @@ from import_facts import CORE, PLUGINS, imports_of
 
 sys.path.pop(0)
 
-LIGHT = {"errors", "foreign", "listing", "log_files"}
+LIGHT = {"errors", "foreign", "hang_watch", "listing", "log_files"}
 CONTRACT = LIGHT | {"contract"}
 BELOW_GATE = CONTRACT | {"plugins", "planning", "config"}
 ALLOWED: dict[str, set[str]] = {
@@ -24,7 +24,7 @@ ALLOWED: dict[str, set[str]] = {
     "foreign": {"errors"},
     **{name: {"listing"} for name in ("feature", "command", "node")},
     "listing": set(),
-    "log_files": set(),
+    **{name: set() for name in ("hang_watch", "log_files")},
     "contract": LIGHT,
     "plugins": LIGHT,
     "config": LIGHT | {"plugins"},

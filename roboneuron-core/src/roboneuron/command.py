@@ -18,7 +18,7 @@ GROUPS: Mapping[str, frozenset[str]] = {
         "estop": "EmergencyStopLatch",
         "loading": "load_attribute load_options load_options_model load_target",
         "log_files": "begin_logging escaped opener",
-        "messages": "intrinsics_from_camera_info joints_from_message to_image to_ns",
+        "messages": "intrinsics_from_camera_info joints_from_message to_image",
         "qos": "requested_qos",
         "reading": "default_text read_state_directory robot_folder",
         "settings": "EMERGENCY_STOP_TOPIC HOLD_DURATION_S",

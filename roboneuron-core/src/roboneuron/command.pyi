@@ -32,6 +32,9 @@ from .ros import (
 )
 
 # Single names.
+from .hang_watch import (
+    HangWatch as HangWatch,
+)
 from .cli.main import (
     CommandModule as CommandModule,
     all_commands as all_commands,

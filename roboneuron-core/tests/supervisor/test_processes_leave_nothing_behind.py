@@ -16,6 +16,7 @@ import pytest
 from shells import ENVIRONMENT, SOON_S, Spawn, await_line, child_of, end_now, state_of
 
 from rn_testing.waiting import wait_until
+from roboneuron.hang_watch import END_SIGNAL
 from roboneuron.supervisor.process import ModuleProcess, ProcessEvents, spawn
 
 pytestmark = pytest.mark.timeout(60)
@@ -138,6 +139,30 @@ def test_sigkill_is_for_the_children_first_then_for_a_process_that_has_left_its_
         ("killpg", process.pid, signal.SIGKILL),
         ("kill", process.pid, signal.SIGKILL),
     ]
+
+
+HANGS = """
+import ctypes, os, subprocess, threading, time
+from roboneuron.hang_watch import HangWatch
+HangWatch(1.0).start()
+print("child", subprocess.Popen(["sleep", "60"]).pid, flush=True)
+threading.Thread(target=ctypes.PyDLL(None).sleep, args=(60,), daemon=True).start()
+time.sleep(60)
+"""
+
+
+def test_a_process_whose_interpreter_hangs_is_noted_and_leaves_no_children(log_path: Path) -> None:
+    process = spawn("arm", [sys.executable, "-c", HANGS], os.environ, "", log_path, ProcessEvents())
+    process.reap(lambda process: None)
+    try:
+        assert process.wait(SOON_S)
+        assert process.exit_code == -END_SIGNAL
+        assert process.last_lines()[-1].endswith("its interpreter hung, with threads as above.")
+        assert any("most recent call first" in line for line in process.last_lines())
+        pid = child_of(log_path)
+        wait_until(lambda: state_of(pid) == "Z", SOON_S, "its child is alive")
+    finally:
+        end_now(process)
 
 
 def test_no_signal_is_sent_to_a_process_that_was_reaped(

@@ -94,7 +94,9 @@ class ServePolicyCommand:
             print(json.dumps(told, indent=2) if arguments.json else table_of(told))
             return 0
         from rn_backend_shared.front import PolicyServer
+        from roboneuron.command import HangWatch
 
+        HangWatch().start()
         logging.basicConfig(format="%(asctime)s %(message)s")  # -v and -q have set up another log
         logging.getLogger("rn_backend_shared").setLevel(logging.INFO)
         server = PolicyServer(options, folder, name)

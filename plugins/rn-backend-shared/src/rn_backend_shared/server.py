@@ -36,6 +36,7 @@ from roboneuron import (
     PluginError,
     RoboNeuronError,
 )
+from roboneuron.command import HangWatch
 
 log = logging.getLogger(__name__)
 _SEND_S = 0.5
@@ -75,9 +76,9 @@ class SharedModelServer:
         self._used_s = time.monotonic()
         self._statistics = Statistics()
 
-    def run(self) -> int:
+    def run(self, watch: HangWatch | None = None) -> int:
         """Serve until `stop`, or idle; returns the exit status. Only one server serves a path at a
-        time: a second one ends at once.
+        time: a second one ends at once. `watch` is that of this process.
         """
         with self._path.with_suffix(".lock").open("a") as lock:
             try:
@@ -95,7 +96,7 @@ class SharedModelServer:
                     target=self._accept, args=(listener,), name="accept", daemon=True
                 ).start()
                 try:
-                    return self._serve()
+                    return self._serve(watch or HangWatch())
                 finally:
                     self._path.unlink(missing_ok=True)
                     for robot in list(self._robots):
@@ -105,9 +106,10 @@ class SharedModelServer:
         """Request the end; callable from a signal handler."""
         self._end.set()
 
-    def _serve(self) -> int:
+    def _serve(self, watch: HangWatch) -> int:
         try:
-            self._model.load()
+            with watch.loading():
+                self._model.load()
         except RoboNeuronError as error:
             return self._fail(error)
         except (

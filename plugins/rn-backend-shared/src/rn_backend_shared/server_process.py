@@ -12,6 +12,7 @@ from typing import IO
 
 from rn_backend_shared.options import SharedOptions
 from rn_backend_shared.server import SharedModelServer
+from roboneuron.command import HangWatch
 
 log = logging.getLogger(__name__)
 STAY = "--stay"
@@ -22,7 +23,7 @@ def serve(options: SharedOptions, path: Path, idle_s: float | None) -> int:
     server = SharedModelServer(options, path, idle_s)
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: server.stop())
-    return server.run()
+    return server.run(_watch())
 
 
 def main(source: IO[str] = sys.stdin, arguments: list[str] = sys.argv[1:]) -> int:
@@ -67,12 +68,18 @@ def _stay(options: SharedOptions, path: Path, source: IO[str]) -> int:
     threading.Thread(target=watch, name="parent", daemon=True).start()
     code = 1
     try:
-        code = server.run()
+        code = server.run(_watch())
     except Exception:  # the process would end silently
         log.exception("The server cannot continue.")
     finally:
         logging.shutdown()
         os._exit(code)
+
+
+def _watch() -> HangWatch:
+    watch = HangWatch()
+    watch.start()
+    return watch
 
 
 def _log() -> None:

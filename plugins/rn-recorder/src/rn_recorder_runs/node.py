@@ -31,7 +31,7 @@ from rn_recorder_runs.recording import Recording, Rules
 from rn_recorder_runs.settings import RecorderSettings
 from rn_recorder_runs.store import RunStore
 from roboneuron import RoboNeuronError, StateError
-from roboneuron.command import AuditLog, Signals, discover, environment, log_files
+from roboneuron.command import AuditLog, HangWatch, Signals, discover, environment, log_files
 
 log = logging.getLogger("recorder")
 EVENTS_TOPIC, AUDIT_TOPIC = "/roboneuron/events", "/roboneuron/audit"
@@ -281,6 +281,8 @@ def _absolute(patterns: tuple[str, ...], namespace: str) -> list[str]:
 def main() -> None:
     """Entry point."""
     log_files.begin_logging(logging.INFO)
+    watch = HangWatch()
+    watch.start()
     pipe = LinePipe(own_stdout())
     first = b""
     while not first.endswith(b"\n"):
@@ -294,12 +296,13 @@ def main() -> None:
     signals.listen()
     environment.prepare_environment(settings.state_directory / "log" / "ros")
     discover()  # because features may provide message types
-    import rclpy  # heavy
-    from rclpy.node import Node
-    from rclpy.parameter import Parameter
-    from rclpy.signals import SignalHandlerOptions
+    with watch.loading():
+        import rclpy  # heavy
+        from rclpy.node import Node
+        from rclpy.parameter import Parameter
+        from rclpy.signals import SignalHandlerOptions
 
-    from rn_recorder_runs.tap import TopicTap
+        from rn_recorder_runs.tap import TopicTap
 
     process = RecorderWorker(settings, pipe.write)
     try:

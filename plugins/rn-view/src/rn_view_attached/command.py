@@ -50,6 +50,10 @@ class ViewCommand:
         """Serve the page until Ctrl-C."""
         import os
 
+        from roboneuron.command import HangWatch
+
+        watch = HangWatch()
+        watch.start()
         from rn_standard.http.options import HttpOptions
         from rn_standard.http.tokens import TokenFiles
         from rn_view.options import ViewOptions
@@ -59,6 +63,7 @@ class ViewCommand:
         from roboneuron.command import discover, feature_options, load_config
 
         config = load_config(arguments.config)
+        watch.bound(config.supervisor.hang_timeout_s)
         robots = _chosen(config, arguments.robot)
         if arguments.robot is not None:
             config = robots[arguments.robot]

@@ -11,6 +11,7 @@ from argparse import SUPPRESS, Action, ArgumentError, ArgumentParser, Namespace
 from contextlib import redirect_stdout, suppress
 from pathlib import Path
 
+from roboneuron.hang_watch import HangWatch
 from roboneuron.log_files import begin_logging
 from roboneuron.plugins.availability import known_names
 from roboneuron.plugins.discovery import discover
@@ -89,13 +90,17 @@ def run(arguments: Namespace) -> int:
     # objects of the start live until the end, and searching them for garbage takes 0.1 s; see
     # `shorten_pauses`
     gc.disable()
-    from roboneuron.config import load_config
+    watch = HangWatch()
+    watch.start()
+    with watch.loading():
+        from roboneuron.config import load_config
 
-    config = load_config(arguments.config, arguments=arguments)
-    choose(config.ros.installation, find_sourced(os.environ, sys.prefix))
-    from roboneuron.server.app import serve  # heavy
+        config = load_config(arguments.config, arguments=arguments)
+        watch.bound(config.supervisor.hang_timeout_s)
+        choose(config.ros.installation, find_sourced(os.environ, sys.prefix))
+        from roboneuron.server.app import serve  # heavy
 
-    serve(config, wire)
+    serve(config, wire, watch)
     return 0
 
 

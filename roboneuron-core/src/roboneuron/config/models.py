@@ -178,6 +178,10 @@ class SupervisorConfig(Section):
     stop_timeout_s: Seconds = Field(
         default=5.0, description="deactivate and SIGTERM before SIGKILL"
     )
+    hang_timeout_s: Annotated[float, Field(ge=1, le=600)] = Field(
+        default=15.0,
+        description="a process whose interpreter runs no thread for this long is ended",
+    )
     state_directory: str | None = Field(
         default=None, description="logs, latch and audit; XDG state when not given"
     )

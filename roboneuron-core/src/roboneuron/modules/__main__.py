@@ -9,6 +9,7 @@ import logging
 import os
 import sys
 
+from roboneuron.hang_watch import HangWatch
 from roboneuron.log_files import begin_logging
 from roboneuron.modules.parent_watch import end_group, follow_parent
 from roboneuron.ros.environment import prepare_environment
@@ -24,14 +25,17 @@ def main() -> None:
     begin_logging(logging.INFO)
     follow_parent(parent)
     prepare_environment()
-    from roboneuron.modules.module import run  # heavy
+    watch = HangWatch()
+    watch.start()
+    with watch.loading():
+        from roboneuron.modules.module import run  # heavy
 
     # Unbuffered, because signs of life and announcements follow the line: a buffer would keep them
     # from the next reader.
     line = io.FileIO(0, closefd=False).readline()
     if not line.endswith(b"\n"):
         sys.exit("stdin ended before the settings came.")
-    run(line.decode())
+    run(line.decode(), watch)
     end_group()
 
 

@@ -19,6 +19,7 @@ from std_msgs.msg import Bool
 from roboneuron.config import ModuleSettings
 from roboneuron.errors import ConfigurationError, RoboNeuronError, StateError, UnsafeError
 from roboneuron.estop.latch import EmergencyStopLatch
+from roboneuron.hang_watch import HangWatch
 from roboneuron.modules.module_host import Handover, Module, ModuleHost
 from roboneuron.modules.parent_watch import Signals, watch_stdin
 from roboneuron.modules.requests import RequestGuard
@@ -52,13 +53,20 @@ class ModuleNode(ModuleHost):
     reads stdin, and on the executor's when a request has to be judged.
     """
 
-    def __init__(self, settings: ModuleSettings, kind: type[Module] | None = None) -> None:
+    def __init__(
+        self,
+        settings: ModuleSettings,
+        kind: type[Module] | None = None,
+        watch: HangWatch | None = None,
+    ) -> None:
         """Args:
         settings: settings of the process.
         kind: class of the module, instead of that of the settings.
+        watch: watch of this process; None for none.
         """
         super().__init__(settings)
         self._kind = kind
+        self._watch = watch or HangWatch()
         self.status.set(emergency_stop=False)
         for qos in STOP_REQUESTS:
             self.create_subscription(Bool, EMERGENCY_STOP_TOPIC, self._on_emergency_stop, qos)
@@ -198,7 +206,8 @@ class ModuleNode(ModuleHost):
                 "interpreter's environment too.",
             )
         try:
-            self.module = (self._kind or _class_of(self.settings))(self)
+            with self._watch.loading():
+                self.module = (self._kind or _class_of(self.settings))(self)
             # Loaded objects are kept: a full collection over all of them would pause the loop for
             # up to half a second.
             gc.collect()
@@ -327,11 +336,15 @@ class ModuleNode(ModuleHost):
         self.status.announce(emergency_stop=self.stopped)
 
 
-def run(line: str) -> None:
+def run(line: str, watch: HangWatch | None = None) -> None:
     """Run the module that a line of settings describes, on the main thread, until a signal or the
     end of the parent.
 
     Exits with a message when the settings are not valid or another process runs that node.
+
+    Args:
+        line: `ModuleSettings` as JSON.
+        watch: watch of this process, or None.
     """
     try:
         settings = ModuleSettings.model_validate_json(line)
@@ -345,7 +358,9 @@ def run(line: str) -> None:
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         signals = Signals()
         signals.listen()
-        node = ModuleNode(settings)
+        watch = watch or HangWatch()
+        watch.bound(settings.config.supervisor.hang_timeout_s)
+        node = ModuleNode(settings, watch=watch)
         signals.on_resumed = node.note_resumed
         node.watch_parent(signals.leave)
         try:
@@ -366,10 +381,8 @@ def _class_of(settings: ModuleSettings) -> type[Module]:
 
 
 def _spin(node: ModuleNode, signals: Signals) -> None:
-    """Process the node's callbacks until the process has to exit.
-
-    Raises:
-        InternalError: the executor serves nothing any more, not even the watchdogs.
+    """Process the node's callbacks until the process has to exit; raises InternalError when the
+    executor serves nothing any more, not even the watchdogs.
     """
 
     def report(error: BaseException, name: str) -> None:

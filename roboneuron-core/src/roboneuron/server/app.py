@@ -22,6 +22,7 @@ from anyio import to_thread
 from roboneuron.config import Config, fleet_feature, transport_feature
 from roboneuron.errors import ConfigurationError, RoboNeuronError, StateError
 from roboneuron.estop.emergency import press_on_signal
+from roboneuron.hang_watch import HangWatch
 from roboneuron.planning import check_configuration
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.loading import load_attribute
@@ -245,13 +246,14 @@ def make_served(config: Config) -> Served:
     return make(config, state_directory(config.supervisor.state_directory))
 
 
-def serve(config: Config, wire: tuple[int, int]) -> None:
+def serve(config: Config, wire: tuple[int, int], watch: HangWatch | None = None) -> None:
     """Serve clients until the last one disconnects for good, or SIGTERM or SIGINT arrives; then
     stop everything.
 
     Args:
         config: names the transport.
         wire: see `Host`.
+        watch: watch of this process; None for none.
 
     Raises:
         ConfigurationError, PlanningError: the configuration names something that is not installed
@@ -263,13 +265,13 @@ def serve(config: Config, wire: tuple[int, int]) -> None:
         transport = served.listen(wire)
         press_on_signal(served.latch)
         served.open()
-        anyio.run(_serve, served, transport)
+        anyio.run(_serve, served, transport, watch or HangWatch())
     finally:
         Host.end_soon()
         served.close()
 
 
-async def _serve(served: Served, transport: Transport) -> None:
+async def _serve(served: Served, transport: Transport, watch: HangWatch) -> None:
     leave = anyio.Event()
 
     async def leave_on_signal() -> None:
@@ -279,8 +281,12 @@ async def _serve(served: Served, transport: Transport) -> None:
                 leave.set()
                 return
 
+    async def settle() -> None:
+        with watch.loading():  # ROS and the features that start now
+            await served.settle()
+
     async with anyio.create_task_group() as group:
         group.start_soon(leave_on_signal)
-        group.start_soon(served.settle)
+        group.start_soon(settle)
         await transport(leave)
         group.cancel_scope.cancel()

@@ -21,6 +21,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from roboneuron.errors import NotReadyError
+from roboneuron.hang_watch import END_SIGNAL
 from roboneuron.log_files import escaped, opener
 from roboneuron.supervisor.changes import Event, Lasting
 
@@ -206,6 +207,8 @@ class ModuleProcess:
             with self._reaping:
                 _kill_group(self.pid)
                 self._child.wait()
+            if self._child.returncode == -END_SIGNAL:
+                self.note(f"Process {self.pid} ended: its interpreter hung, with threads as above.")
             self.ended_at = datetime.now(UTC)
             if self._child.stdin is not None:
                 with suppress(OSError):

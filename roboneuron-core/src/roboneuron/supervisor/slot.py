@@ -9,6 +9,7 @@ from typing import Literal
 
 from roboneuron.config import ModuleSettings
 from roboneuron.errors import NotReadyError, StateError
+from roboneuron.hang_watch import END_SIGNAL
 from roboneuron.modules.report import Report
 from roboneuron.modules.settings import ModuleKind
 from roboneuron.planning import Plan
@@ -221,12 +222,14 @@ class Slot:
         return (
             f"its process (pid {process.pid}) ended by itself with "
             f"{describe_exit(process.exit_code or 0)} at {process.ended_at.astimezone():%H:%M:%S}. "
-            f"Last lines: {_quote(process.last_lines())}"
+            f"Last lines: {_quote(process.last_lines())} Whole log: {process.log_path}"
         )
 
 
 def describe_exit(code: int) -> str:
     """Describe an exit code; negative codes are signals, as in subprocess."""
+    if code == -END_SIGNAL:
+        return "a hang of its interpreter (its log says where its threads stood)"
     return f"exit code {code}" if code >= 0 else f"signal {-code}"
 
 

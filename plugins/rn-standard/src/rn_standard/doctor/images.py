@@ -42,20 +42,22 @@ def measure_image_transport() -> ImageTransport:
         NotReadyError: the other process failed.
     """
     # importing this module must not require the message package
+    from rclpy.time import Time
     from sensor_msgs.msg import Image
 
-    from roboneuron.command import RosLink, messages
+    from roboneuron.command import RosLink
 
     topic = f"/roboneuron_doctor/images_{os.getpid()}"
     ages_ms: list[float] = []
     link = RosLink(f"roboneuron_doctor_{os.getpid()}")
     link.open()
+
+    def receive(image: Image) -> None:
+        stamp_ns = Time.from_msg(image.header.stamp).nanoseconds
+        ages_ms.append((time.time_ns() - stamp_ns) / 1e6)
+
     try:
-        link.subscribe(
-            Image,
-            topic,
-            lambda m: ages_ms.append((time.time_ns() - messages.to_ns(m.header.stamp)) / 1e6),
-        )
+        link.subscribe(Image, topic, receive)
         try:
             sender = subprocess.run(
                 [sys.executable, "-P", "-m", "rn_standard.doctor.images", topic],

@@ -35,6 +35,8 @@ from roboneuron import (
 from roboneuron.feature import build
 
 M = TypeVar("M")
+COMMAND = (sys.executable, "-m", "roboneuron.hang_watch", "rn_standard.preview.twin_process")
+"""Command line of a twin, to which the descriptor of its pipe is added."""
 _NICE = 5
 _LEAST_S = 0.05
 _END_S = 2.0
@@ -68,13 +70,12 @@ class TwinProcess:
         self.key = (spec, repr(options))
         own, other = Pipe()
         self._pipe = own
-        command = [sys.executable, "-m", "rn_standard.preview.twin_process", str(other.fileno())]
+        command = [*COMMAND, str(other.fileno())]
         with other:
             self._process = subprocess.Popen(
                 command,
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,
                 pass_fds=(other.fileno(),),
             )
         try:
