@@ -100,3 +100,21 @@ def test_a_client_cannot_forge_an_entry() -> None:
     assert "Traceback" in text
     assert "\x1b" not in text
     assert len(parse_entries(tuple(text.splitlines()))) == 1
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
+def test_a_full_disk_costs_the_log_and_is_reported_once(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    (tmp_path / "server.log").symlink_to("/dev/full")
+    log = ServerLog(tmp_path)
+    log.open()
+    try:
+        for number in range(3):
+            logging.getLogger("t").warning("%d", number)
+    finally:
+        log.close()
+    told = [one for one in caplog.records if one.name == "rn_standard.ops.server_log"]
+    assert [one.levelname for one in told] == ["ERROR"]
+    assert "No space left" in told[0].getMessage()
+    assert [one.getMessage() for one in caplog.records if one.name == "t"] == ["0", "1", "2"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import sys
 from contextlib import suppress
 from io import TextIOWrapper
 from logging.handlers import RotatingFileHandler
@@ -10,14 +11,30 @@ from pathlib import Path
 
 from roboneuron.feature import log_files
 
+log = logging.getLogger(__name__)
 FILE_NAME = "server.log"
 _BYTES = 4 << 20
 """Size at which a new file is started; one older file is kept."""
 
 
 class _PrivateFile(RotatingFileHandler):
+    """A file of its owner; a disk that cannot be written costs records, and is reported once."""
+
+    is_failing = False
+
     def _open(self) -> TextIOWrapper:
         return open(self.baseFilename, self.mode, encoding=self.encoding, opener=log_files.opener)  # type: ignore[return-value]
+
+    def handleError(self, record: logging.LogRecord) -> None:
+        """Report the first failure to the other handlers."""
+        if not self.is_failing:
+            self.is_failing = True  # first: the report comes here too
+            log.error("%s cannot be written: %s.", self.baseFilename, sys.exc_info()[1])
+
+    def close(self) -> None:
+        """Close the file; what is still buffered is lost on a full disk."""
+        with suppress(OSError):
+            super().close()
 
 
 class ServerLog:
@@ -47,7 +64,6 @@ class ServerLog:
                 self.path, maxBytes=_BYTES, backupCount=1, encoding="utf-8"
             )
             self._handler.setFormatter(log_files.PlainFormatter())
-            self._handler.handleError = lambda record: None  # type: ignore[method-assign]
             root = logging.getLogger()
             self._level = root.level
             if root.level > logging.INFO:
