@@ -7,7 +7,8 @@
 
 Files that start processes or threads, wait or ask a clock run alone; the rest runs together. Each
 repetition has another order of tests, and takes the next combination of interpreter, busy loops and
-workers. It goes on where it was, if the commit is the same. The exit status is 1 if a test failed.
+workers. It goes on where it was, if the commit is the same, and ends when the tree changes. The
+exit status is 1 if a test failed.
 """
 
 from __future__ import annotations
@@ -123,6 +124,9 @@ def work(options: argparse.Namespace, ledger: Path) -> None:
             continue
         if time.monotonic() > end_s:
             print(f"The time is over after {count - 1} of {len(trials)} trials.")
+            return
+        if commit_of(options.root) != commit:
+            print(f"The tree is no longer {commit}, so that results would be mixed: ended.")
             return
         row = run_trial(options.root, trial, commit, TRIAL_S)
         with ledger.open("a", encoding="utf-8") as file:

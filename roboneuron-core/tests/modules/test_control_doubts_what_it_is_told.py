@@ -104,7 +104,7 @@ FAULTS: dict[str, Callable[[Cell], None]] = {
     "unknown-names": lambda cell: setattr(cell, "names", ("c", "d")),
     "nan": lambda cell: setattr(cell, "position", np.array([0.5, np.nan])),
     "infinity": lambda cell: setattr(cell, "position", np.array([-np.inf, 0.0])),
-    "silent": lambda cell: cell.timer.cancel(),
+    "silent": lambda cell: cell.world.run(cell.timer.cancel),
 }
 
 
@@ -124,7 +124,7 @@ def test_joint_states_with_a_fault_end_the_commands_until_the_arm_can_be_held_wh
     assert not holds_within(lambda: len(cell.commands) > count, 0.2), (
         "nothing leads back to an old posture"
     )
-    policy.cancel()
+    cell.world.run(policy.cancel)
     if fault not in ("silent", "frozen"):
         assert cell.count("dropped.bad_joint_state") > 0
     cell.names, cell.position, cell.shift_ns, cell.frozen_ns = (
@@ -206,7 +206,7 @@ def test_server_that_is_frozen_stops_the_arm_until_it_asks_for_motion_again(worl
         assert cell.value("hold_code") == "server_silent"
         count = len(cell.commands)
         assert not holds_within(lambda count=count: len(cell.commands) > count, 0.2)
-    policy.cancel()
+    cell.world.run(policy.cancel)
 
 
 @pytest.mark.parametrize("kind", ["robot", "inference", "control"])
@@ -247,7 +247,7 @@ def test_a_control_that_was_frozen_needs_a_new_start_though_the_server_is_heard_
     cell.world.permit(cell.control)
     assert holds_within(lambda: len(cell.commands) > count + 5)
     beats.cancel()
-    policy.cancel()
+    cell.world.run(policy.cancel)
 
 
 def test_a_silence_while_a_module_was_loading_is_no_stop(world) -> None:

@@ -87,10 +87,13 @@ def test_actions_that_stop_are_followed_by_one_hold_at_the_measured_joints(cell:
 
 
 def test_joint_states_that_stop_forbid_acting(cell: Cell) -> None:
-    cell.timer.cancel()
+    cell.world.run(cell.timer.cancel)
     assert holds_within(lambda: cell.control.module.why_not(0.0, 0) == "stale_joint_state")
-    cell.actions.publish(to_action_message(FORWARD))
-    assert holds_within(lambda: cell.dropped("stale_joint_state") == 1)
+    for _ in range(10):  # one that comes over 0.3 s late, on a busy machine, is stale itself
+        cell.actions.publish(to_action_message(FORWARD))
+        if holds_within(lambda: cell.dropped("stale_joint_state") > 0, 2.0):
+            break
+    assert cell.dropped("stale_joint_state") > 0
     assert not cell.commands
 
 
@@ -147,8 +150,11 @@ def test_damaged_joint_states_count_as_none(cell: Cell, damage: Callable[[Cell],
     damage(cell)
     assert holds_within(lambda: cell.control.module.why_not(0.0, 0) == "stale_joint_state")
     assert cell.value("error_code") in ("unsafe", "invalid_input")
-    cell.actions.publish(to_action_message(FORWARD))
-    assert holds_within(lambda: cell.dropped("stale_joint_state") == 1)
+    for _ in range(10):  # one that comes over 0.3 s late, on a busy machine, is stale itself
+        cell.actions.publish(to_action_message(FORWARD))
+        if holds_within(lambda: cell.dropped("stale_joint_state") > 0, 2.0):
+            break
+    assert cell.dropped("stale_joint_state") > 0
     assert not cell.commands
 
 

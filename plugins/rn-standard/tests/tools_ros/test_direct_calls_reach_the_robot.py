@@ -13,7 +13,7 @@ import anyio
 import pytest
 from mcp import types
 
-from rn_testing.waiting import holds_within
+from rn_testing.waiting import holds_within, wait_until
 from roboneuron.server.app import Application
 
 pytestmark = [pytest.mark.ros, pytest.mark.timing, pytest.mark.timeout(60)]
@@ -181,10 +181,16 @@ def test_a_best_effort_and_a_latched_publisher_are_both_heard(
             QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT),
         )  # fmt: skip
         assert (await agent.do("read_battery"))["messages"][0]["voltage"] == 1.0
-        timer.cancel()
-        for publisher in list(rover.node.publishers):
-            if publisher.topic_name == "/rover/battery":
-                rover.node.destroy_publisher(publisher)
+
+        def fall_silent() -> None:
+            timer.cancel()
+            for publisher in list(rover.node.publishers):
+                if publisher.topic_name == "/rover/battery":
+                    rover.node.destroy_publisher(publisher)
+
+        # on its thread: a timer that is cancelled when it is due ends the executor
+        done = rover.executor.create_task(fall_silent)
+        await anyio.to_thread.run_sync(wait_until, done.done)
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         successor = rover.node.create_publisher(BatteryState, "battery", latched)
         successor.publish(BatteryState(voltage=2.0))
