@@ -17,7 +17,7 @@ AT_ONCE_S = 10.0
 @pytest.mark.parametrize(
     ("fault", "words"),
     [
-        ("malformed", "is not JSON"),
+        ("malformed", "is no valid JSON"),
         ("short", "expected 7 ids below 32064"),
         ("range", "expected 7 ids below 32064"),
         ("other", "answers the request 'another'"),
