@@ -49,24 +49,20 @@ log = logging.getLogger(__name__)
 class ModuleNode(ModuleHost):
     """`/<namespace>/<node name>`: standard lifecycle services in front of a Module.
 
+    `watch` is that of the process, if it is watched for hangs.
+
     Callbacks run on the executor's thread, one at a time. `note_beat` comes on the thread that
     reads stdin, and on the executor's when a request has to be judged.
     """
 
-    def __init__(
-        self,
-        settings: ModuleSettings,
-        kind: type[Module] | None = None,
-        watch: HangWatch | None = None,
-    ) -> None:
+    def __init__(self, settings: ModuleSettings, kind: type[Module] | None = None) -> None:
         """Args:
         settings: settings of the process.
         kind: class of the module, instead of that of the settings.
-        watch: watch of this process; None for none.
         """
         super().__init__(settings)
         self._kind = kind
-        self._watch = watch or HangWatch()
+        self.watch = HangWatch()
         self.status.set(emergency_stop=False)
         for qos in STOP_REQUESTS:
             self.create_subscription(Bool, EMERGENCY_STOP_TOPIC, self._on_emergency_stop, qos)
@@ -206,7 +202,7 @@ class ModuleNode(ModuleHost):
                 "interpreter's environment too.",
             )
         try:
-            with self._watch.loading():
+            with self.watch.loading():
                 self.module = (self._kind or _class_of(self.settings))(self)
             # Loaded objects are kept: a full collection over all of them would pause the loop for
             # up to half a second.
@@ -358,9 +354,9 @@ def run(line: str, watch: HangWatch | None = None) -> None:
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         signals = Signals()
         signals.listen()
-        watch = watch or HangWatch()
-        watch.bound(settings.config.supervisor.hang_timeout_s)
-        node = ModuleNode(settings, watch=watch)
+        node = ModuleNode(settings)
+        node.watch = watch or node.watch
+        node.watch.bound(settings.config.supervisor.hang_timeout_s)
         signals.on_resumed = node.note_resumed
         node.watch_parent(signals.leave)
         try:
