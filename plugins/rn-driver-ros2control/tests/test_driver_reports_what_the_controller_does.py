@@ -223,7 +223,9 @@ def test_a_gripper_that_is_not_driven_is_left_out_and_told(rig):
     sent = driver.send(command(fr3_finger_joint1=0.01))
     assert sent.names == ARM_JOINTS
     assert rig.link.gripper_goals == []
-    assert "not driven" in driver.read().detail["gripper"]
+    told = driver.read().detail
+    assert "not driven" in told["gripper"]
+    assert told["no_gripper"] == "true", "tools move the arm without it"
 
 
 def test_a_gripper_command_that_repeats_itself_is_one_goal(rig):

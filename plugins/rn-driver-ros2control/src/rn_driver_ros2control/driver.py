@@ -122,7 +122,7 @@ class Ros2ControlDriver:
 
         `detail` contains "controller" (active, inactive, absent, not watched), "mode", "goal"
         (result of the newest), "fault" (empty for none), "following_error" (greatest, rad or m),
-        "speed_scaling" and "gripper".
+        "speed_scaling", "gripper", and "no_gripper" with the option gripper none.
 
         Raises:
             StateError: not open.
@@ -144,6 +144,8 @@ class Ros2ControlDriver:
             "fault": self._fault,
             "gripper": note,
         }
+        if self._options.gripper == "none":
+            told["no_gripper"] = "true"
         return self._watch.state(link, measured, told)
 
     def send(self, command: JointCommand) -> JointCommand:

@@ -54,6 +54,7 @@ class Arm:
         """It measures within half a turn."""
         self.max_duration_s = 120.0
         self.phase = "running"
+        self.has_hand = True
 
     def monotonic(self) -> float:
         return self.now_s
@@ -68,6 +69,8 @@ class Arm:
     def joints(self, exposed: Any, timeout_s: float) -> JointSample | None:
         if self.phase != "running":
             return None
+        if not self.has_hand:
+            return JointSample(names=("j1",), position=np.array([self.joint]))
         return JointSample(names=("j1", "finger"), position=np.array([self.joint, self.finger_m()]))
 
     def newest_joints(self, exposed: Any) -> JointSample | None:
@@ -127,9 +130,9 @@ class Arm:
     @property
     def host(self) -> Any:
         def view(kind: str) -> Any:
-            report = Report(
-                metrics={"gripper_commanded": f"{self.commanded:g}"}, detail={}, note=""
-            )
+            metrics = {"gripper_commanded": f"{self.commanded:g}"} if self.has_hand else {}
+            detail = {} if self.has_hand else {"no_gripper": "true"}
+            report = Report(metrics=metrics, detail=detail, note="")
             return SimpleNamespace(report=report, phase=self.phase)
 
         modules = SimpleNamespace(view=view, require_running=lambda kind: None)
@@ -145,6 +148,7 @@ class Arm:
 
 
 CONTEXT: Any = SimpleNamespace(who="agent", role="operator")
+LIMIT = JointLimit(lower=-1.0, upper=1.0, velocity=1.0, acceleration=1.0)
 
 
 @pytest.fixture
@@ -319,3 +323,53 @@ def test_a_goal_is_reached_in_whatever_turns_it_is_measured(arm: Arm) -> None:
     moved = anyio.run(joint_mover, MoveJoints(positions={"j1": -3.1}), CONTEXT)
     assert moved.position["j1"] == pytest.approx(-3.1)
     assert moved.error == pytest.approx(0.0, abs=1e-5)
+
+
+@pytest.mark.parametrize("in_profile", [True, False], ids=["undriven", "none"])
+class TestArmWithoutGripper:
+    """Its driver drives none, or its profile has none."""
+
+    @pytest.fixture(autouse=True)
+    def _bare(self, arm: Arm, monkeypatch: pytest.MonkeyPatch, in_profile: bool) -> None:
+        arm.has_hand = False
+        if not in_profile:
+            bare = replace(PROFILE, gripper=None)
+            monkeypatch.setitem(globals(), "PROFILE", bare)
+
+    def test_it_moves_by_deltas(self, arm: Arm) -> None:
+        moved = move(arm, dz_m=0.02)
+        assert moved.moved["dz_m"] == pytest.approx(0.02, abs=0.002)
+        assert (moved.holding, moved.lost_on_the_way) == (None, False)
+
+    def test_it_moves_by_joints(self, arm: Arm) -> None:
+        gate: Any = arm
+        mover = JointMover(exposed(), {"j1": LIMIT}, gate, arm.host)
+        moved = anyio.run(mover, MoveJoints(positions={"j1": 0.2}), CONTEXT)
+        assert moved.position["j1"] == pytest.approx(0.2)
+        assert moved.holding is None
+
+    @pytest.mark.parametrize("dry_run", [False, True])
+    @pytest.mark.parametrize("more", [{}, {"dz_m": 0.02}])
+    def test_a_move_that_names_the_gripper_is_refused(
+        self, arm: Arm, more: dict[str, float], dry_run: bool
+    ) -> None:
+        with pytest.raises(RefusedError) as refusal:
+            move(arm, gripper_open=0.0, dry_run=dry_run, **more)
+        assert refusal.value.rule == "no_gripper"
+        assert arm.grips == []
+
+    def test_nothing_can_be_placed(self, arm: Arm) -> None:
+        with pytest.raises(RefusedError) as refusal:
+            place(arm, watched(arm), dx_m=0.1, height_m=0.1)
+        assert refusal.value.rule == "no_gripper"
+        assert arm.grips == []
+
+
+@pytest.mark.parametrize("dry_run", [False, True])
+def test_the_joint_of_a_gripper_that_is_not_driven_cannot_be_moved(arm: Arm, dry_run: bool) -> None:
+    arm.has_hand = False
+    gate: Any = arm
+    mover = JointMover(exposed(), {"j1": LIMIT, "finger": LIMIT}, gate, arm.host)
+    with pytest.raises(RefusedError) as refusal:
+        anyio.run(mover, MoveJoints(positions={"finger": 0.0, "j1": 0.1}, dry_run=dry_run), CONTEXT)
+    assert refusal.value.rule == "no_gripper"

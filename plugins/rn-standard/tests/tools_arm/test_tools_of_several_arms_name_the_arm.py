@@ -40,7 +40,7 @@ from roboneuron.contract import (
     RobotProfile,
     robot_space,
 )
-from roboneuron.errors import InvalidInputError
+from roboneuron.errors import InvalidInputError, RefusedError
 from roboneuron.feature import ExposedEndpoint, GateRequest, Sent, TimedCommand, Verdict
 from roboneuron.gate.motion import MotionLimiter, motion_rules
 from roboneuron.gate.motion.joint_space import JointLimit
@@ -100,6 +100,7 @@ class Pair:
         self.labels: set[str] = set()
         self.max_duration_s = 60.0
         self.joint_targets: dict[str, float] = {}
+        self.undriven = ""
 
     def monotonic(self) -> float:
         return self.now_s
@@ -111,6 +112,7 @@ class Pair:
         fingers = {
             f"{side}_finger": max(self.openings[side] * 0.04, self.objects_m[side])
             for side in SIDES
+            if side != self.undriven
         }
         found = {**dict.fromkeys(JOINTS, 0.0), **self.joint_targets, **fingers}
         return JointSample(names=tuple(found), position=np.array(list(found.values())))
@@ -160,7 +162,9 @@ class Pair:
     def host(self) -> Any:
         def view(kind: str) -> Any:
             told = {f"{s}/gripper_commanded": f"{self.openings[s]:g}" for s in SIDES}
-            return SimpleNamespace(report=Report(metrics=told), phase="running")
+            told.pop(f"{self.undriven}/gripper_commanded", None)
+            detail = {f"{self.undriven}/no_gripper": "true"} if self.undriven else {}
+            return SimpleNamespace(report=Report(metrics=told, detail=detail), phase="running")
 
         return SimpleNamespace(
             modules=SimpleNamespace(view=view, require_running=lambda kind: None),
@@ -227,8 +231,22 @@ def test_an_arm_without_a_gripper_cannot_open_it(pair: Pair) -> None:
     bare = replace(PAIR, arms=(ARMS[0], replace(ARMS[1], gripper=None)))
     tcps = {side: pair.tcp(side) for side in SIDES}
     mover = EndEffectorMover(exposed(bare), bare, pair.host, ArmToolsOptions(), tcps, "right")
-    with pytest.raises(InvalidInputError, match="'right' has no gripper"):
+    with pytest.raises(RefusedError, match="'right'") as refusal:
         anyio.run(mover, MoveEndEffector(gripper_open=1.0), CONTEXT)
+    assert refusal.value.rule == "no_gripper"
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_an_arm_whose_gripper_is_not_driven_moves_beside_one_that_grasps(
+    pair: Pair, side: str
+) -> None:
+    other = SIDES[1 - SIDES.index(side)]
+    pair.undriven = side
+    assert move(pair, arm=side, dz_m=0.05).holding is None
+    move(pair, arm=other, gripper_open=0.0)
+    with pytest.raises(RefusedError, match=side) as refusal:
+        move(pair, arm=side, gripper_open=0.0)
+    assert refusal.value.rule == "no_gripper"
 
 
 def test_rows_of_one_arm_stay_the_seven_values() -> None:

@@ -98,7 +98,8 @@ class RobotState:
         gripper_open: 0 closed .. 1 open; None without a gripper.
         detail: facts for get_status, as text (for a simulation: the positions of objects). "fault"
             is the reason for which the robot has stopped by itself; after a fault, motion has to be
-            requested anew.
+            requested anew. "no_gripper" is "true" if no gripper is driven although the profile has
+            one; of one of several arms "<arm>/no_gripper".
     """
 
     joints: JointSample

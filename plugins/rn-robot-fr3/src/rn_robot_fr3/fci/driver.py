@@ -353,7 +353,9 @@ class FciDriver:
         }
         if self._told is not None:
             self._told.publish(measured, fault, self._measured_ns)
-        if self._gripper is not None:
+        if self._gripper is None:
+            detail["no_gripper"] = "true"
+        else:
             finger_m = self._gripper.width_m / 2
             names = (*ARM_JOINTS, FINGER_JOINT, MIMIC_FINGER_JOINT)
             position, velocity = (

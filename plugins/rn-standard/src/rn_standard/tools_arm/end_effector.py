@@ -133,8 +133,8 @@ class EndEffectorMover:
         """The move that a call asks for. Raises InvalidInputError, RefusedError."""
         values = np.array([getattr(arguments, name) for name in AXES])
         gripper = arguments.gripper_open
-        if gripper is not None and self._arm and self._grip.profile is None:
-            raise InvalidInputError(f"The arm {self._arm!r} has no gripper.", path="gripper_open")
+        if gripper is not None:
+            self._grip.check_fitted()
         if gripper is None and not values.any():
             raise InvalidInputError(
                 "The call asks for no move.", hint="Give one of the deltas, or gripper_open."

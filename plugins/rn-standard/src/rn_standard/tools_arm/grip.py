@@ -8,7 +8,7 @@ import math
 import time
 
 from rn_standard.tools_arm.grip_reports import commanded_opening
-from roboneuron import GripperProfile, Host, NotReadyError
+from roboneuron import GripperProfile, Host, NotReadyError, RefusedError
 from roboneuron.feature import ExposedEndpoint, MotionGate, Report
 
 _MEASURED_S = 2.0
@@ -57,15 +57,34 @@ class Grip:
         return None if report is None else commanded_opening(report, self.arm)
 
     def kept(self) -> float:
-        """Opening that keeps the grasp: as last commanded, else as measured; 1 without a gripper.
+        """Opening that keeps the grasp: as last commanded, else as measured; 1 without a gripper,
+        where nothing follows it.
 
         Raises:
             NotReadyError: the gripper is not measured.
         """
-        if self.profile is None:
+        if self.is_missing:
             return 1.0
         opening = self.commanded()
         return self.measured() if opening is None else opening
+
+    @property
+    def is_missing(self) -> bool:
+        """The arm has no gripper: by its profile, or because its driver reports that it drives
+        none.
+        """
+        return self.profile is None or self._detail("no_gripper") == "true"
+
+    def check_fitted(self) -> None:
+        """Raise RefusedError for an arm without a gripper."""
+        if self.is_missing:
+            subject = f"The arm {self.arm!r}" if self.arm else "This robot"
+            raise RefusedError(
+                f"{subject} has no gripper.",
+                hint="Move the arm without it; if it has one, its driver has to be told by its "
+                "options.",
+                rule="no_gripper",
+            )
 
     def measured(self) -> float:
         """The measured opening. Raises NotReadyError."""
@@ -88,13 +107,12 @@ class Grip:
         Either the driver reports it, or the fingers rest wider than commanded. Waits up to a second
         for them to rest.
         """
-        report = self._report()
-        key = f"{self.arm}/holding" if self.arm else "holding"
-        told = "" if report is None else report.detail.get(key, "")
-        if told:
+        if self.is_missing:
+            return None
+        if told := self._detail("holding"):
             return told == "true"
         opening = self.commanded()
-        if self.profile is None or opening is None:
+        if opening is None:
             return None
         try:
             return self._is_blocked(opening)
@@ -116,6 +134,12 @@ class Grip:
             if now_s - began_s > _SETTLE_S:
                 return None
             time.sleep(_POLL_S)
+
+    def _detail(self, name: str) -> str:
+        """A fact of the driver on this arm; empty if it reports none."""
+        report = self._report()
+        key = f"{self.arm}/{name}" if self.arm else name
+        return "" if report is None else report.detail.get(key, "")
 
     def _report(self) -> Report | None:
         """Report of the module of this robot."""

@@ -162,11 +162,16 @@ class JointMover:
         )
 
     def check(self, arguments: MoveJoints) -> None:
-        """Raise InvalidInputError unless the joints have these positions."""
+        """Raise InvalidInputError unless the joints have these positions, RefusedError for the
+        joint of a gripper that is not there.
+        """
         for name, value in arguments.positions.items():
             if name not in self._limits:
                 raise InvalidInputError.unknown_name("positions", name, list(self._limits))
             limit = self._limits[name]
+            gripper = self._grip_of[name].profile if name in self._grip_of else None
+            if gripper is not None and gripper.joint == name:
+                self._grip_of[name].check_fitted()
             if not limit.lower <= value <= limit.upper:
                 raise InvalidInputError(
                     f"positions.{name} is {value:g}, expected from {limit.lower:g} to "

@@ -177,7 +177,8 @@ class Placer:
         )
 
     def check_holds(self) -> None:
-        """Raise RefusedError for an empty hand; waits until the fingers rest."""
+        """Raise RefusedError for an empty hand, or none; waits until the fingers rest."""
+        self.grip.check_fitted()
         if self.grip.holding() is False:
             raise RefusedError(
                 "The hand holds nothing that could be put down.",
