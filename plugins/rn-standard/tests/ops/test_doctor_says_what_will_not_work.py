@@ -21,6 +21,7 @@ from rn_testing.domain import free_ros_domain
 from roboneuron.config import Config, parse_config
 from roboneuron.errors import ConfigurationError, NotReadyError
 from roboneuron.estop import ESTOP_FILE, EmergencyStopLatch
+from roboneuron.plugins.registry import Status
 
 MIB = 1 << 20
 LOADED = functools.cache(checks.installations._loaded)
@@ -280,3 +281,27 @@ def test_the_command_looks_at_the_real_machine(tmp_path: Path) -> None:
     assert findings["configuration"]["verdict"] == "failed"
     assert "images of 640x480 arrived" in findings["images"]["text"]
     assert findings["ros"]["verdict"] == findings["interpreter"]["verdict"] == "ok"
+
+
+@pytest.mark.parametrize(
+    ("status", "severity"),
+    [
+        (Status.READY, Severity.OK),
+        (Status.DISABLED, Severity.OK),
+        (Status.UNAVAILABLE, Severity.OK),  # an optional one whose library nobody installed
+        (Status.INCOMPATIBLE, Severity.WARNING),
+        (Status.CONFLICT, Severity.WARNING),
+        (Status.FAILED, Severity.WARNING),
+    ],
+)
+def test_a_plugin_that_lacks_its_library_is_named_and_no_fault(
+    status: Status, severity: Severity, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    records = [
+        SimpleNamespace(name="good", status=Status.READY),
+        SimpleNamespace(name="other", status=status),
+    ]
+    monkeypatch.setattr(checks, "discover", lambda *_: SimpleNamespace(plugins=records))
+    found = find("plugins", config_in(tmp_path))
+    assert found.verdict is severity
+    assert ("other" in found.text) == (status not in (Status.READY, Status.DISABLED))

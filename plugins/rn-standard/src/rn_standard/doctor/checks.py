@@ -220,14 +220,21 @@ def _peers(_: Config) -> Finding:
 def _plugins(config: Config) -> Finding:
     records = discover(config.disabled_plugins).plugins
     ready = sum(record.status is Status.READY for record in records)
-    bad = [r.name for r in records if r.status not in (Status.READY, Status.DISABLED)]
     text = f"{ready} of {len(records)} plugins are ready."
     if not ready:
         return failed(text, f"For a start: {availability.install_command()}")
-    if bad:
+    # whether the chosen ones are usable is a check of its own
+    lacking = [r.name for r in records if r.status is Status.UNAVAILABLE]
+    if lacking:
+        text += f" Without the libraries that they need: {', '.join(lacking)}."
+    faulty = [
+        r.name
+        for r in records
+        if r.status not in (Status.READY, Status.DISABLED, Status.UNAVAILABLE)
+    ]
+    if faulty:
         return warning(
-            f"{text} Not ready: {', '.join(bad)}.",
-            "roboneuron plugins list says why and what to install.",
+            f"{text} At fault: {', '.join(faulty)}.", "roboneuron plugins list says why."
         )
     return ok(text)
 
