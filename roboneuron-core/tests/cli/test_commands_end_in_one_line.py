@@ -69,7 +69,7 @@ def page() -> Iterator[str]:
 
 
 WRONG = [
-    (("call", "get_status", "{"), 2, "are not JSON"),
+    (("call", "get_status", "{"), 2, "is no valid JSON"),
     (("call", "get_status", "--url", "http://127.0.0.1:9/mcp"), 2, "Nobody answers"),
     (("call", "get_status", "--url", "http://127.0.0.1:99999/mcp"), 2, "port must be 0-65535"),
     (("call", "get_status", "--url", "nonsense"), 2, "does not answer as one"),

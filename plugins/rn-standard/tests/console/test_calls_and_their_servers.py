@@ -46,7 +46,7 @@ def test_a_further_tool_needs_no_arguments(tmp_path: Path) -> None:
             ("--keep", "--url", "http://127.0.0.1:9/mcp"),
             "--keep is for a server that `call` starts",
         ),
-        (("--then", "a", "{"), "are not JSON"),
+        (("--then", "a", "{"), "is no valid JSON"),
     ],
 )
 def test_calls_that_make_no_sense_are_refused_before_a_server_starts(
