@@ -21,8 +21,12 @@ from rn_standard.preview.twin_process import COMMAND
 def lone_commands(folder: Path) -> dict[str, list[str]]:
     """Command lines of processes that need no arm."""
     policies = folder / "policies.toml"
+    token = folder / "token"
+    token.write_text("0123456789abcdef0123456789abcdef\n")
+    token.chmod(0o600)
     policies.write_text(
         f'[listen]\nport = 0\nhost = "127.0.0.1"\ndirectory = "{folder}/policy"\n'
+        f'keys = "token"\ntoken_file = "{token}"\n'
         '[models.servo]\nbackend = "servo"\n'
     )
     view = [sys.executable, "-m", "roboneuron.cli.main", "view", "--port", "0"]
