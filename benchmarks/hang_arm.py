@@ -15,6 +15,9 @@ import psutil
 from hang_parts import ENDED_S, NEVER, REST_S, TOLD, Client, Hangs, alive, until, whole, words
 from lost_cell import KINDS, Witness
 
+SETTLED_S = 8.0
+"""Start of a recorder on a busy machine."""
+
 
 class Arm:
     """A served arm, started anew when its server has ended."""
@@ -105,12 +108,14 @@ class Arm:
         if starting is not None:
             starting.join(60.0)
         time.sleep(max(0.0, hung_s + REST_S + 0.5 - time.monotonic()))
-        if phase == "motion":
+        if phase == "motion" and (process != "recorder" or told in ("stdin", "parent")):
             ends["rest_s"] = round(self.last_motion_s(hung_s), 2)
             if ends["rest_s"] > REST_S:
                 problems.append(f"the arm moved for {ends['rest_s']} s")
         if process in KINDS and told in TOLD[:4] and phase == "motion":
-            module = self.served().modules()[process]
+            client = self.served()
+            until(lambda: client.modules()[process]["phase"] != "running", 10.0, "its exit")
+            module = client.modules()[process]
             text = json.dumps(module)
             # the end of a task may have stopped the module before it ended by itself
             if module["phase"] == "exited" and "its interpreter hung" not in text:
@@ -133,7 +138,10 @@ class Arm:
 
     def _pid(self, client: Client, process: str, phase: str) -> tuple[int, threading.Thread | None]:
         if process == "recorder":
-            return until(lambda: self._child("rn_recorder_runs"), 30.0, "the recorder"), None
+            pid = until(lambda: self._child("rn_recorder_runs"), 30.0, "the recorder")
+            if phase == "motion":
+                time.sleep(SETTLED_S)
+            return pid, None
         if phase == "motion":
             return int(client.modules()[process]["pid"]), None
         client.run_all()

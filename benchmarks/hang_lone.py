@@ -27,7 +27,7 @@ def lone_commands(folder: Path) -> dict[str, list[str]]:
     policies.write_text(
         f'[listen]\nport = 0\nhost = "127.0.0.1"\ndirectory = "{folder}/policy"\n'
         f'keys = "token"\ntoken_file = "{token}"\n'
-        '[models.servo]\nbackend = "servo"\n'
+        '[models.servo]\nbackend = "servo"\nstateless = true\n'
     )
     view = [sys.executable, "-m", "roboneuron.cli.main", "view", "--port", "0"]
     return {

@@ -40,20 +40,19 @@ perception = "never"
 """
 )
 HOOK = f'''"""Hangs this process once a file with its number appears."""
-import ctypes, os, sys, threading, time
+import ctypes, os, threading, time
 
 def hang():
     sleep = ctypes.PyDLL(None).sleep
     path = os.path.join(os.environ["HANG_FOLDER"], str(os.getpid()))
     while not os.path.exists(path):
         time.sleep(0.02)
-        watch = sys.modules.get("roboneuron.hang_watch")
-        if watch is not None and hasattr(watch, "LOADING_S"):
-            watch.LOADING_S = {3 * BOUND_S}
     os.rename(path, path + ".hangs")
     sleep(100)
 
 if "HANG_FOLDER" in os.environ:
+    from roboneuron import hang_watch
+    hang_watch.LOADING_S = {3 * BOUND_S}
     threading.Thread(target=hang, daemon=True).start()
 '''
 PARENT = """

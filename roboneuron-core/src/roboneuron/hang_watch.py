@@ -35,8 +35,9 @@ DEFAULT_S = 15.0
 a healthy thread was late by 3.6 s, and a process that was stopped has half of the bound.
 """
 LOADING_S = 60.0
-"""Bound while libraries and models are loaded: the dynamic loader keeps the interpreter's lock
-while it reads a library of gigabytes from a cold disk.
+"""Bound while libraries and models are loaded and the ROS graph is joined. The dynamic loader keeps
+the interpreter's lock while it reads a library of gigabytes from a cold disk, and the creation of a
+ROS node kept it for over 3 s at 50 runnable tasks on two cores.
 """
 END_SIGNAL = signal.SIGRTMAX - 1
 """Ends the process: a signal that nothing else uses tells a hang from other ends."""

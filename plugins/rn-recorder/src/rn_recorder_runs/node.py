@@ -311,12 +311,13 @@ def main() -> None:
         sys.exit(str(error))
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     nothing_served = [Parameter("start_type_description_service", value=False)]
-    node = Node(
-        f"recorder_{os.getpid()}",
-        enable_rosout=False,
-        start_parameter_services=False,
-        parameter_overrides=nothing_served,
-    )
+    with watch.loading():  # joining the graph keeps the interpreter's lock
+        node = Node(
+            f"recorder_{os.getpid()}",
+            enable_rosout=False,
+            start_parameter_services=False,
+            parameter_overrides=nothing_served,
+        )
     topics = _absolute(settings.topics, settings.namespace)
     tap = TopicTap(
         node, topics, _absolute(settings.exclude, settings.namespace), process.put, process.describe

@@ -82,7 +82,8 @@ class ViewCommand:
         viewer = ViewServer(options, source, admission, None)
         signal.signal(signal.SIGTERM, signal.default_int_handler)
         try:
-            graph.open()
+            with watch.loading():
+                graph.open()
             try:
                 viewer.open()
                 print(

@@ -351,12 +351,13 @@ def run(line: str, watch: HangWatch | None = None) -> None:
         sys.exit(f"{error.message} {error.hint}")
     with held:
         # rclpy's own handlers would end the context first: a last hold could not be published.
-        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-        signals = Signals()
+        signals, watch = Signals(), watch or HangWatch()
         signals.listen()
-        node = ModuleNode(settings)
-        node.watch = watch or node.watch
-        node.watch.bound(settings.config.supervisor.hang_timeout_s)
+        watch.bound(settings.config.supervisor.hang_timeout_s)
+        with watch.loading():  # joining the graph keeps the interpreter's lock
+            rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+            node = ModuleNode(settings)
+        node.watch = watch
         signals.on_resumed = node.note_resumed
         node.watch_parent(signals.leave)
         try:

@@ -10,7 +10,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Mapping
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -264,14 +264,16 @@ def serve(config: Config, wire: tuple[int, int], watch: HangWatch | None = None)
         served.check()
         transport = served.listen(wire)
         press_on_signal(served.latch)
+        loading = ExitStack()
+        loading.enter_context((watch or HangWatch()).loading())  # joins the graph, starts features
         served.open()
-        anyio.run(_serve, served, transport, watch or HangWatch())
+        anyio.run(_serve, served, transport, loading.close)
     finally:
         Host.end_soon()
         served.close()
 
 
-async def _serve(served: Served, transport: Transport, watch: HangWatch) -> None:
+async def _serve(served: Served, transport: Transport, loaded: Callable[[], object]) -> None:
     leave = anyio.Event()
 
     async def leave_on_signal() -> None:
@@ -282,8 +284,10 @@ async def _serve(served: Served, transport: Transport, watch: HangWatch) -> None
                 return
 
     async def settle() -> None:
-        with watch.loading():  # ROS and the features that start now
+        try:
             await served.settle()
+        finally:
+            loaded()
 
     async with anyio.create_task_group() as group:
         group.start_soon(leave_on_signal)
