@@ -13,6 +13,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from stop_world import NEVER, World
 
 from rn_testing.fakes import fake_plan
+from rn_testing.waiting import wait_until
 from roboneuron.errors import NotReadyError, StateError
 from roboneuron.modules.report import Report
 from roboneuron.modules.settings import ModuleKind
@@ -206,7 +207,7 @@ def test_closing_stops_everything_within_the_time_of_a_leaving_server(world: Wor
     assert world.clock.now_s == 101.5
     assert world.named("kill") == [("kill", 7)]
     assert world.closed == ["connection", "connection"]
-    assert not [t for t in threading.enumerate() if t.name == "heartbeat"]
+    wait_until(lambda: not [t for t in threading.enumerate() if t.name == "heartbeat"])
     with pytest.raises(RuntimeError, match="shutdown"):
         supervisor._spawning.submit(print)
     with pytest.raises(StateError, match="The server is shutting down"):
