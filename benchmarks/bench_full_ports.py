@@ -34,6 +34,7 @@ from roboneuron.estop import ESTOP_FILE, EmergencyStopLatch
 from roboneuron.gate.audit import AuditLog
 
 TOKEN = "a-token-of-this-benchmark"
+FLOOD_TOKEN = "a-token-of-the-requests"
 CONFIG = """
 [server]
 transport = "http"
@@ -43,6 +44,10 @@ port = 0
 name = "bench"
 role = "viewer"
 variable = "BENCH_TOKEN"
+[[http.tokens]]
+name = "flood"
+role = "viewer"
+variable = "BENCH_FLOOD"
 [robot]
 name = "fr3"
 driver = "simulated"
@@ -62,6 +67,7 @@ directory = "{state}/model"
 HANDLES = 1024
 IDLE, RATE, REQUESTS = 1000, 6000, 300
 LIMIT_S = 0.5
+WORDS = {"idle": "held", "connects": "a second", "requests": "requests at once"}
 START_S = 120.0
 FLOOD = """
 import resource, signal, socket, sys, time
@@ -83,19 +89,21 @@ def connect():
 
 if kind == "requests":
     import os
-    token = os.environ.get("BENCH_TOKEN", "")
-    body = b'{"jsonrpc":"2.0","id":1,"method":"initialize","params":{"protocolVersion":"2025-06-18",' \
-        b'"capabilities":{},"clientInfo":{"name":"viewer","version":"1"}}}'
-    http = b"POST /mcp HTTP/1.1\r\nHost: 127.0.0.1\r\nAuthorization: Bearer " + token.encode() + \
-        b"\r\nAccept: application/json, text/event-stream\r\nContent-Type: application/json\r\n" \
-        b"Connection: close\r\nContent-Length: %d\r\n\r\n" % len(body) + body
-    page = b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nConnection: close\r\n\r\n"
+    token = os.environ.get("BENCH_FLOOD", "")
+    line = chr(13) + chr(10)
+    body = '{"jsonrpc":"2.0","id":1,"method":"initialize","params":{"protocolVersion":"2025-06-18",'
+    body += '"capabilities":{},"clientInfo":{"name":"viewer","version":"1"}}}'
+    mcp = ["POST /mcp HTTP/1.1", "Host: 127.0.0.1", "Authorization: Bearer " + token,
+           "Accept: application/json, text/event-stream", "Content-Type: application/json",
+           "Connection: close", f"Content-Length: {len(body)}", "", body]
+    page = ["GET / HTTP/1.1", "Host: 127.0.0.1", "Connection: close", "", ""]
+    said = line.join(mcp if family_name == "http" else page).encode()
     print("begun", flush=True)
     while time.monotonic() < end:
         held = [connect() for _ in range(number)]
         for one in held:
             try:
-                one.sendall(http if family_name == "http" else page)
+                one.sendall(said)
             except OSError:
                 pass
         for one in held:
@@ -136,7 +144,12 @@ def running(state: Path) -> Iterator[dict[str, tuple[str, str]]]:
     """A server with few handles; the family and address of each of its ports."""
     config, log = state / "roboneuron.toml", state / "server.log"
     config.write_text(CONFIG.format(state=state), encoding="utf-8")
-    environment = {**os.environ, "BENCH_TOKEN": TOKEN, "ROS_DOMAIN_ID": str(free_ros_domain())}
+    environment = {
+        **os.environ,
+        "BENCH_TOKEN": TOKEN,
+        "BENCH_FLOOD": FLOOD_TOKEN,
+        "ROS_DOMAIN_ID": str(free_ros_domain()),
+    }
     command = [sys.executable, "-m", "roboneuron.cli.main"]
 
     def few_handles() -> None:
@@ -288,7 +301,7 @@ def main(arguments: argparse.Namespace) -> int:
                         str(number),
                         seconds,
                     ]
-                    environment = os.environ | {"BENCH_TOKEN": TOKEN}
+                    environment = os.environ | {"BENCH_FLOOD": FLOOD_TOKEN}
                     with subprocess.Popen(
                         command, stdout=subprocess.PIPE, text=True, env=environment
                     ) as flood:
@@ -302,7 +315,7 @@ def main(arguments: argparse.Namespace) -> int:
                     rate = (
                         f"{float(rest):,.0f} a second"
                         if kind == "connects" and rest
-                        else f"{number:,} {'held' if kind == 'idle' else 'requests at once'}"
+                        else f"{number:,} {WORDS[kind]}"
                     )
                     show(f"{port}: {rate}", times_s, latched)
                     is_good &= latched == arguments.trials and max(times_s) <= LIMIT_S
