@@ -151,3 +151,37 @@ def test_a_wall_stops_an_arm_whose_first_joint_turns_without_end(
     moved = [float(value) for value in re.findall(r'"joint_1": (-?[\d.]+)', done.stdout)]
     expected = goals[:-1] if kind == "revolute" else [-1.5, -2.9, 3.2 - 2 * math.pi]
     assert moved == pytest.approx(expected, abs=0.01), told
+
+
+@pytest.mark.ros
+def test_an_arm_whose_distances_are_not_checked_says_so_wherever_it_is_started(
+    project: Path, environment: dict[str, str]
+) -> None:
+    environment = {**environment, "PYTHONPATH": str(project / "src")}
+    profile = project / "src" / "rn_robot_myarm" / "profile.py"
+    text = profile.read_text(encoding="utf-8")
+    asks = "        collision=CollisionProfile(min_distance_m=0.01),"
+    assert asks in text
+    profile.write_text(text.replace(asks, "        #"), encoding="utf-8")
+    config = project / "roboneuron.toml"
+    commands = {
+        "config check": ["config", "check", str(config)],
+        "calls": [
+            *("call", "start_robot", "--config", str(config)),
+            *("--then", "start_control", "{}", "--then", "get_status", "{}"),
+        ],
+    }
+    told = {}
+    for name, command in commands.items():
+        done = subprocess.run(
+            ["roboneuron", *command],
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=120,
+            check=False,
+        )
+        assert done.returncode == 0, done.stdout + done.stderr
+        told[name] = done.stdout.count("Distances between the links of 'myarm', and to obstacles,")
+        assert "Set min_distance_m = 0.01 in [limits]." in done.stdout
+    assert told == {"config check": 1, "calls": 3}, "start_robot, start_control and get_status"

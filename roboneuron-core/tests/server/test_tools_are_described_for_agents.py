@@ -153,6 +153,8 @@ def test_which_robot_it_is_and_whether_a_real_one_is_told_before_anything_runs(
     facts = {"name": "gantry", "driver": "simulated", "kind": "simulated"}
     status = call(application, "get_status").structured_content
     assert status is not None
+    unchecked = status["robot"].pop("unchecked")
+    assert "'gantry'" in unchecked, "its description has no shapes"
     assert status["robot"] == facts
     assert str(application.server.instructions).startswith(
         "RoboNeuron operates one simulated robot gantry (driver simulated). "

@@ -157,6 +157,22 @@ def test_a_configuration_that_names_what_is_not_installed_fails(tmp_path: Path) 
 
 
 @pytest.mark.parametrize(
+    ("limits", "verdict", "hint"),
+    [("collision = false", Severity.WARNING, "Set it to true"), ("", Severity.OK, "")],
+)
+def test_an_arm_whose_links_are_not_kept_apart_is_told(
+    tmp_path: Path, limits: str, verdict: Severity, hint: str
+) -> None:
+    pytest.importorskip("rn_robot_fr3")
+    text = '[robot]\nname = "fr3"\n[supervisor]\nstate_directory = '
+    config = parse_config(f'{text}"{tmp_path}"\n[limits]\n{limits}\n')
+    (check,) = (check for check in checks.CHECKS if check.id == "distances")
+    finding = check.answer(config)
+    assert finding.verdict is verdict
+    assert hint in finding.hint
+
+
+@pytest.mark.parametrize(
     ("seen", "verdict", "words"),
     [
         ({"received": 0}, Severity.FAILED, "none arrived"),

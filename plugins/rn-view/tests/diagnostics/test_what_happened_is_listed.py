@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import json
 from types import SimpleNamespace
 
@@ -9,10 +10,11 @@ import anyio
 import pytest
 from mcp import Client, types
 from mcp.server import Server
+from view_fakes import profile
 
 from rn_view.diagnostics.event_list import AuditReader, EventList, ToolCalls, add_record
 from rn_view.sources.source import ModuleRow, PageState, note_text
-from rn_view.visualization.markup import event_rows, modules_table, stop_text
+from rn_view.visualization.markup import event_rows, joints_table, modules_table, stop_text
 
 
 def calls(result):
@@ -138,5 +140,12 @@ def test_what_somebody_said_never_becomes_html():
         event_rows(events.newest(1)),
         modules_table([row]),
         stop_text(PageState(is_latched=True, cause=bad), "live"),
+        joints_table(profile(), {}, (), bad),
     ]
-    assert not any("<script" in html for html in shown)
+    assert not any("<script" in made for made in shown)
+
+
+def test_the_joints_say_why_distances_are_not_checked():
+    why = "Distances between the links of 'twolink' are not checked."
+    assert html.escape(why) in joints_table(profile(), {}, (), why)
+    assert why not in joints_table(profile(), {}, ())

@@ -6,12 +6,14 @@ Source of `package://` and of the index of packages: the URDF specification and 
 
 from __future__ import annotations
 
+import functools
 import os
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from pathlib import Path
 
 
+@functools.lru_cache(maxsize=16)
 def collision_meshes(urdf: str) -> tuple[str, ...]:
     """Names of the meshes among the collision shapes, each once; empty for an invalid URDF."""
     try:
@@ -20,6 +22,16 @@ def collision_meshes(urdf: str) -> tuple[str, ...]:
         return ()
     meshes = (mesh for shape in root.iter("collision") for mesh in shape.iter("mesh"))
     return tuple(dict.fromkeys(mesh.get("filename", "") for mesh in meshes))
+
+
+@functools.lru_cache(maxsize=16)
+def has_collision_shapes(urdf: str) -> bool:
+    """Whether a link of a URDF has a collision shape."""
+    try:
+        root = ET.fromstring(urdf)
+    except ET.ParseError:
+        return False
+    return any(len(shape) for shape in root.iterfind("link/collision/geometry"))
 
 
 def mesh_file(name: str, folder: str) -> Path | None:

@@ -7,13 +7,15 @@ Arrays are kept as read-only copies.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from typing import Protocol
 
 import numpy as np
 
 from roboneuron.contract.arrays import F64, ReadOnly, freeze
 from roboneuron.contract.joints import JointKinds, joint_kinds
+from roboneuron.contract.meshes import collision_meshes, has_collision_shapes, mesh_file
 from roboneuron.contract.observation import CameraCalibration
 from roboneuron.errors import InvalidInputError
 
@@ -151,6 +153,19 @@ class CollisionProfile:
     min_distance_m: float = 0.01
     obstacles: tuple[Obstacle, ...] = ()
     tool_links: tuple[str, ...] = ()
+
+
+class DistanceLimits(Protocol):
+    """What a configuration says of distances; see `[limits]`."""
+
+    @property
+    def collision(self) -> bool: ...
+
+    @property
+    def min_distance_m(self) -> float | None: ...
+
+    @property
+    def obstacles(self) -> Sequence[object] | None: ...
 
 
 _TOPIC = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
@@ -304,6 +319,41 @@ class RobotProfile:
             gripper=arm.gripper,
             limits=limits,
             home_rad=None if self.home_rad is None else self.home_rad[rows],
+        )
+
+    def why_unchecked(self, limits: DistanceLimits, *, are_told: bool = True) -> str:
+        """One sentence on why the distances between its links are not checked, and one on what to
+        do; empty if they are, and for a robot without an arm.
+
+        Args:
+            limits: section [limits] of the configuration.
+            are_told: the controller tells distances, as far as is known.
+        """
+        if not self.arm_joints:
+            return ""
+        names = collision_meshes(self.urdf)
+        missing = [name for name in names if mesh_file(name, self.mesh_folder) is None]
+        is_asked = (self.collision, limits.min_distance_m, limits.obstacles) != (None, None, None)
+        asked = "" if is_asked else ", and set min_distance_m = 0.01 in [limits]"
+        if not has_collision_shapes(self.urdf):
+            shapes = "boxes, cylinders, spheres or meshes as collision shapes"
+            why = "its description has no collision shapes"
+            how = f"Add {shapes} to its links{asked}."
+        elif not limits.collision:
+            why, how = "limits.collision is false", f"Set it to true{asked}."
+        elif missing:
+            why = f"the mesh {missing[0]!r} has no file"
+            how = f"Set mesh_folder of its profile to the folder of the description{asked}."
+        elif asked:
+            why = "neither its profile nor [limits] asks for it"
+            how = "Set min_distance_m = 0.01 in [limits]."
+        elif not are_told:
+            why, how = "the controller tells none", 'Set controller = "urdf" in [control].'
+        else:
+            return ""
+        return (
+            f"Distances between the links of {self.name!r}, and to obstacles, are not checked: "
+            f"{why}. {how}"
         )
 
     def tolerance(self, joint: str) -> float:

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import sys
 from argparse import ArgumentParser, Namespace
+from contextlib import suppress
 from pathlib import Path
+
+from roboneuron import RoboNeuronError
 
 
 class ConfigCheck:
@@ -22,6 +25,7 @@ class ConfigCheck:
             check_configuration,
             discover,
             load_config,
+            load_profile,
             make_served,  # heavy
         )
 
@@ -34,6 +38,12 @@ class ConfigCheck:
             omitted = served.omitted
         finally:
             served.close()
+        registry = discover(config.disabled_plugins)
+        for one in config.robots.values() or (config,):
+            with suppress(RoboNeuronError):  # its plugin is elsewhere
+                profile = load_profile(registry, one.robot.name)
+                if told := profile.why_unchecked(one.limits):
+                    print(f"Note: {told}")
         for reason in omitted:
             print(f"Left out: {reason}", file=sys.stderr)
         if omitted:

@@ -251,6 +251,17 @@ def _configuration(config: Config) -> Finding:
     return ok(f"What it names is installed and fits together: {', '.join(names)}.")
 
 
+def _distances(config: Config) -> Finding:
+    from roboneuron.command import load_profile  # numpy
+
+    profile = load_profile(discover(config.disabled_plugins), config.robot.name)
+    told = profile.why_unchecked(config.limits)
+    if not told:
+        return ok("They are checked, or the robot has no arm.")
+    why, _, how = told.partition(". ")
+    return warning(f"{why}.", how)
+
+
 def _chosen(config: Config, registry: Registry) -> str:
     """Installed modules that the robot's driver can choose from; by default it uses the first."""
     driver = registry.get(RobotSpec, config.robot.name).driver(config.robot.driver)
@@ -310,6 +321,12 @@ CHECKS = (
     Check(id="plugins", question="Are the plugins ready?", answer=_plugins),
     Check(
         id="configuration", question="Does the configuration fit together?", answer=_configuration
+    ),
+    Check(
+        id="distances",
+        question="Are an arm's links kept away from each other?",
+        answer=_distances,
+        needs="configuration",
     ),
     Check(id="gpu", question="What do models run on?", answer=_gpu),
 )

@@ -86,6 +86,11 @@ class StartResult(ModuleSummary):
     """A module that is running and has passed its readiness check."""
 
     took_s: float = Field(description="from the call to the proof of readiness")
+    unchecked: str = Field(
+        default="",
+        description="of an arm whose links may touch each other or obstacles, because their "
+        "distances are not checked: why, and what to do",
+    )
 
 
 class InstructionResult(Result):
@@ -103,6 +108,11 @@ class RobotStatus(Result):
     driver: str
     kind: Literal["real", "simulated"] = Field(
         description="real unless its driver declares that it is simulated"
+    )
+    unchecked: str = Field(
+        default="",
+        description="why the distances between its links, and to obstacles, are not checked, and "
+        "what to do; left out if they are",
     )
 
 

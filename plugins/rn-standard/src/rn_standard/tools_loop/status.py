@@ -35,8 +35,11 @@ def status(host: Host) -> StatusResult:
     omitted = host.features.omitted
     cause = loop.emergency_stop.cause()
     known: dict[str, Any] = {"emergency_stop_cause": cause, "left_out": omitted}
+    robot = RobotStatus(**asdict(loop.robot_facts))
+    if unchecked := loop.unchecked_distances:
+        robot = robot.model_copy(update={"unchecked": unchecked})
     return StatusResult(
-        robot=RobotStatus(**asdict(loop.robot_facts)),
+        robot=robot,
         modules=[ModuleStatus.of(view) for view in loop.modules.views()],
         emergency_stop=loop.emergency_stop.is_latched(),
         **{name: value for name, value in known.items() if value},

@@ -157,7 +157,9 @@ def _start_tool(loop: ClosedLoop, kind: ModuleKind) -> Tool:
             lambda stage: loop.start(entry.kind, request, stage, context.role, halt),
             on_cancel=halt.set,
         )
-        return StartResult.short_of(view, took_s=round(time.monotonic() - started_s, 3))
+        took_s = round(time.monotonic() - started_s, 3)
+        unchecked = loop.unchecked_distances if entry.kind in ("robot", "control") else ""
+        return StartResult.short_of(view, took_s=took_s, unchecked=unchecked)
 
     return Tool(
         name=f"start_{entry.kind}",

@@ -300,6 +300,7 @@ class _Content:
         gui = client.gui
         self._source = source
         self._profile = profile
+        self._unchecked = profile.why_unchecked(source.config().limits)
         self._history = history
         self._gui = gui
         self._player = (
@@ -365,7 +366,9 @@ class _Content:
         self._instruction.content = markup.instruction_text(snapshot)
         self._modules.content = markup.modules_table(snapshot.modules)
         place = limit_place(snapshot.limits, snapshot.limit, self._profile.arm_joints, ())
-        self._joints.content = markup.joints_table(self._profile, measured.joints, place.joints)
+        self._joints.content = markup.joints_table(
+            self._profile, measured.joints, place.joints, self._unchecked
+        )
         self.scene.update_limit(snapshot)
         self.scene.update_chunk(measured, self._source.now_s())
         count = self._source.shown_events.count

@@ -116,9 +116,12 @@ def _module_rows(row: ModuleRow) -> str:
 
 
 def joints_table(
-    profile: RobotProfile, joints: Mapping[str, float], limited: Sequence[str] = ()
+    profile: RobotProfile,
+    joints: Mapping[str, float],
+    limited: Sequence[str] = (),
+    unchecked: str = "",
 ) -> str:
-    """Position of each joint within its limits."""
+    """Position of each joint within its limits, and why distances of links are not checked."""
     limits = profile.limits
     if limits is None:
         return _line("", "This robot has no arm joints.")
@@ -148,7 +151,8 @@ def joints_table(
             f'style="width:45%">{bar}</td>'
             f'<td style="text-align:right">{_number(at, 2)}</td></tr>'
         )
-    return f'<table style="{_SMALL};width:100%;padding:0 12px">{"".join(rows)}</table>'
+    note = _line(f"color:{_BAD};white-space:normal", escape(unchecked)) if unchecked else ""
+    return f'<table style="{_SMALL};width:100%;padding:0 12px">{"".join(rows)}</table>{note}'
 
 
 def event_rows(events: Sequence[ShownEvent]) -> str:
