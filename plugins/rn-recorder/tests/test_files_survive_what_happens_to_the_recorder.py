@@ -16,16 +16,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from recorder_rig import Clock, feed, record, recording
 
-from rn_recorder_runs.files import (
-    RunFile,
-    is_finished,
-    read_about,
-    read_records,
-    repair,
-)
+from rn_recorder_runs.files import RunFile, is_finished, read_about, read_records
 from rn_recorder_runs.node import Backlog
 from rn_recorder_runs.reading import count_topics
 from rn_recorder_runs.recording import Recording, Rules
+from rn_recorder_runs.repairing import repair
 from rn_recorder_runs.store import Run, RunStore
 from roboneuron import StateError
 

@@ -294,6 +294,7 @@ def _replay(run: Run, arguments: Namespace) -> int:
 def _export(store: RunStore, arguments: Namespace) -> int:
     """Export runs; status 1 if something was left out."""
     from rn_recorder_runs.files import copy_records, read_about
+    from rn_recorder_runs.repairing import read_origin
 
     if arguments.interventions and arguments.lerobot is None:
         raise InvalidInputError(
@@ -332,8 +333,10 @@ def _export(store: RunStore, arguments: Namespace) -> int:
     if arguments.mcap.exists():
         raise ConfigurationError(f"{arguments.mcap} exists.", hint="Name another file.")
     arguments.mcap.parent.mkdir(parents=True, exist_ok=True)
-    count = copy_records(
-        files, arguments.mcap, {**read_about(files[0]), "run": " ".join(run.id for run in runs)}
-    )
+    left_out = {f"{path}, which is no MCAP file" for path in files if not read_origin(path)}
+    about = {**read_about(files[0]), "run": " ".join(run.id for run in runs)}
+    count = copy_records(files, arguments.mcap, about, skipped=left_out)
     print(f"{arguments.mcap}: {count} messages")
-    return 0
+    for reason in sorted(left_out):
+        print(f"Left out: {reason}.", file=sys.stderr)
+    return int(bool(left_out))

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import IO, cast
 from zlib import error as ZlibError
 
-from mcap.exceptions import McapError
+from mcap.exceptions import EndOfFile, McapError
 from mcap.reader import make_reader
 from mcap.records import Channel, McapRecord, Message, Metadata, Schema, Statistics
 from mcap.stream_reader import StreamReader
@@ -31,12 +31,18 @@ from roboneuron.command import log_files
 CHUNK_BYTES = 1 << 20
 FLUSH_S = 0.5
 """Maximum time before a chunk is written, which is the loss of a killed recorder."""
+LIBRARY = "rn-recorder"
+"""Name of the writer in the files."""
+ROS_2 = "ros2msg"
+"""Encoding of the definitions of ROS 2."""
 METADATA = "roboneuron"
 """Name of the metadata record with the file's content and configuration."""
 LATCHED = "roboneuron.latched"
 """Key of a channel's metadata: every file begins with the newest messages of its topic."""
 DAMAGE = (McapError, ZstdError, ZlibError, struct.error, ValueError, EOFError, UnicodeDecodeError)
 """Exceptions of a reader at the end of a truncated file."""
+_DAMAGE_OF_OTHERS = (MemoryError, OverflowError, RuntimeError, KeyError, IndexError)
+"""Further ones, in files that were changed; RuntimeError is that of LZ4."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +55,8 @@ class Record:
         publish_ns: when its publisher sent it [ns]; `log_ns` when unknown.
         sequence: the publisher's own count, from 1; 0 when unknown.
         data: CDR.
+        definition: text of the type in the file that it was read from; empty if that is not of ROS
+            2; None if it was not read from a file.
     """
 
     topic: str
@@ -57,6 +65,7 @@ class Record:
     publish_ns: int
     sequence: int
     data: bytes
+    definition: str | None = None
 
 
 class _Unbuffered:
@@ -118,10 +127,10 @@ class RunFile:
         self._writer = Writer(
             cast("IO[bytes]", self._file), chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD
         )
-        self._channels: dict[tuple[str, str, str], int] = {}
-        self._schemas: dict[str, int] = {}
+        self._channels: dict[tuple[str, str, str, str | None], int] = {}
+        self._schemas: dict[tuple[str, str | None], int] = {}
         try:
-            self._writer.start(profile="ros2", library="rn-recorder")
+            self._writer.start(profile="ros2", library=LIBRARY)
             self._writer.add_metadata(METADATA, dict(about))
             self._writer.flush()  # type: ignore[no-untyped-call]
         except OSError:
@@ -139,7 +148,7 @@ class RunFile:
         """Add a message. Raises FileNotFoundError if the definition of its type is unknown."""
         # a channel for each control space: its metadata names the values
         label = label_of(record.data) if is_action(record.topic, record.type) else ""
-        key = (record.topic, record.type, label)
+        key = (record.topic, record.type, label, record.definition)
         channel = self._channels.get(key)
         if channel is None:
             channel = self._channels[key] = self._register(record, label)
@@ -149,7 +158,7 @@ class RunFile:
         )
         self.messages += 1
         self.unwritten = self.unwritten + 1 if self.size_bytes == before else 0
-        self.first_ns = self.first_ns or record.log_ns
+        self.first_ns = min(self.first_ns or record.log_ns, record.log_ns)
         self.last_ns = max(self.last_ns, record.log_ns)
 
     def flush(self) -> None:
@@ -175,11 +184,13 @@ class RunFile:
             self._file.close()
 
     def _register(self, record: Record, label: str) -> int:
-        schema = self._schemas.get(record.type)
+        key = (record.type, record.definition)  # files may define a type differently
+        schema = self._schemas.get(key)
         if schema is None:
-            text = self._definitions.get(record.type) or definition(record.type)
-            schema = self._schemas[record.type] = self._writer.register_schema(
-                record.type, "ros2msg", text.encode()
+            known = record.definition or self._definitions.get(record.type)
+            text = known or definition(record.type)
+            schema = self._schemas[key] = self._writer.register_schema(
+                record.type, ROS_2, text.encode()
             )
         told = {**self._topics.get(record.topic, {}), **named_values(label)}
         return self._writer.register_channel(record.topic, "cdr", schema, told)
@@ -195,21 +206,41 @@ def is_finished(path: Path) -> bool:
         return False
 
 
-def whole_records(file: IO[bytes], *, emit_chunks: bool = False) -> Iterator[McapRecord]:
+def whole_records(
+    file: IO[bytes], *, emit_chunks: bool = False, damage: list[str] | None = None
+) -> Iterator[McapRecord]:
     """Yield the records of an MCAP file up to its end or the first damage.
 
     Args:
         file: open for reading.
         emit_chunks: yield chunks; otherwise the records in them.
+        damage: gets what is wrong where the file is damaged.
     """
-    with suppress(*DAMAGE):
-        yield from StreamReader(file, emit_chunks=emit_chunks).records
+    size = os.fstat(file.fileno()).st_size  # no record is longer, whatever its length says
+    records = StreamReader(file, emit_chunks=emit_chunks, record_size_limit=size).records
+    while True:
+        try:
+            record = next(records, None)
+        except (*DAMAGE, *_DAMAGE_OF_OTHERS) as error:
+            if damage is not None:
+                damage.append(_what(error))
+            return
+        if record is None:
+            return
+        yield record
+
+
+def _what(error: Exception) -> str:
+    if isinstance(error, (struct.error, EndOfFile)):
+        return "it ends within a record"
+    return " ".join(str(error).split())[:120] or type(error).__name__
 
 
 def read_records(
     path: Path,
     definitions: dict[str, str] | None = None,
     metadata: dict[str, dict[str, str]] | None = None,
+    damage: list[str] | None = None,
 ) -> Iterator[Record]:
     """Yield the messages of a file in the order of writing; a truncated end is left out.
 
@@ -217,24 +248,30 @@ def read_records(
         path: finished or not.
         definitions: filled with the definition of each type that occurs.
         metadata: filled with the metadata of each topic that occurs.
+        damage: gets what is wrong where the file is damaged.
 
     Raises:
         OSError: it cannot be read.
     """
     schemas: dict[int, Schema] = {}
     channels: dict[int, Channel] = {}
+    texts: dict[int, str] = {}
     with path.open("rb", buffering=1 << 20) as file:
-        for entry in whole_records(file):
+        for entry in whole_records(file, damage=damage):
             if isinstance(entry, Schema):
                 schemas[entry.id] = entry
+                is_ros = entry.encoding == ROS_2
+                texts[entry.id] = entry.data.decode(errors="replace") if is_ros else ""
                 if definitions is not None:
-                    definitions[entry.name] = entry.data.decode()
+                    definitions[entry.name] = texts[entry.id]
             elif isinstance(entry, Channel):
                 channels[entry.id] = entry
                 if metadata is not None:
                     metadata[entry.topic] = dict(entry.metadata)
             elif isinstance(entry, Message):
-                channel = channels[entry.channel_id]
+                channel = channels.get(entry.channel_id)
+                if channel is None:
+                    continue  # of a damaged file
                 name = schemas[channel.schema_id].name if channel.schema_id in schemas else ""
                 yield Record(
                     channel.topic,
@@ -243,6 +280,7 @@ def read_records(
                     entry.publish_time,
                     entry.sequence,
                     entry.data,
+                    texts.get(channel.schema_id, "") if channel.message_encoding == "cdr" else "",
                 )
 
 
@@ -284,12 +322,14 @@ def copy_records(
     until_ns: int | None = None,
     attachments: Mapping[str, object] | None = None,
     again_ns: int | None = None,
+    skipped: set[str] | None = None,
 ) -> int:
     """Merge several files, oldest first, into one finished file; return the number of messages.
 
     A message in several files is written once; each file contains the newest of latched topics.
     Latched ones are written whatever their time. `again_ns`: messages before that time [ns] are in
-    the first source; later ones may be in several.
+    the first source; later ones may be in several. `skipped` gets the topics that are not of ROS 2,
+    which are left out.
 
     Raises:
         OSError: it cannot be written; the partial file is removed.
@@ -300,11 +340,15 @@ def copy_records(
     metadata: dict[str, dict[str, str]] = {}
     file = RunFile(part, about, definitions, metadata)
     written: set[tuple[str, int, int, int, int]] = set()
+    skipped = set() if skipped is None else skipped
     try:
         for number, source in enumerate(sources):
             from_ns = since_ns if again_ns is None or not number else again_ns
             with suppress(FileNotFoundError):  # the ring continues meanwhile
                 for record in read_records(source, definitions, metadata):
+                    if record.definition == "":
+                        skipped.add(f"{record.topic} ({record.type}), which is not of ROS 2")
+                        continue
                     is_latched = LATCHED in metadata.get(record.topic, {})
                     if until_ns is not None and record.log_ns > until_ns:
                         continue
@@ -336,18 +380,6 @@ def copy_records(
         raise
     part.replace(target)
     return file.messages
-
-
-def repair(path: Path) -> bool:
-    """Add an index to a truncated file; return True if it needed one.
-
-    Raises:
-        OSError: it cannot be written.
-    """
-    if is_finished(path):
-        return False
-    copy_records([path], path, {**read_about(path), "repaired": "true"})
-    return True
 
 
 def write_json(path: Path, value: Mapping[str, object]) -> None:

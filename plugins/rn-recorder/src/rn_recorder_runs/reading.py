@@ -11,7 +11,7 @@ from typing import Any
 from mcap.records import Schema
 from mcap_ros2.decoder import DecoderFactory
 
-from rn_recorder_runs.files import Record, read_records
+from rn_recorder_runs.files import ROS_2, Record, read_records
 
 CAMERA = "camera"
 
@@ -31,6 +31,7 @@ class TopicCounts:
     Attributes:
         lost: messages missing by the publisher's count; None for several publishers, or without a
             count.
+        note: why its messages cannot be decoded, or only by different definitions.
     """
 
     type: str
@@ -39,30 +40,42 @@ class TopicCounts:
     first_ns: int
     last_ns: int
     lost: int | None
+    note: str = ""
 
 
 class RecordDecoder:
-    """Decodes records with the definitions in their file."""
+    """Decodes records with the definitions in their file: each with its own, also where files, or
+    topics of a file, define a type differently.
+    """
 
     def __init__(self) -> None:
         self.definitions: dict[str, str] = {}
-        self._decoders: dict[str, Callable[[bytes], object]] = {}
+        self._decoders: dict[tuple[str, str | None], Callable[[bytes], object]] = {}
 
     def decode(self, record: Record) -> Any:
-        """Decode the message of a record. Raises ValueError if its definition cannot be read."""
-        decoder = self._decoders.get(record.type)
-        if decoder is None:
-            schema = Schema(
-                id=1,
-                name=record.type,
-                encoding="ros2msg",
-                data=self.definitions[record.type].encode(),
-            )
-            found = DecoderFactory().decoder_for("cdr", schema)
-            if found is None:
-                raise ValueError(f"messages of type {record.type} cannot be decoded")
-            decoder = self._decoders[record.type] = found
-        return decoder(record.data)
+        """Decode the message of a record. Raises ValueError if it cannot be decoded."""
+        key = (record.type, record.definition)
+        try:
+            decoder = self._decoders.get(key)
+            if decoder is None:
+                decoder = self._decoders[key] = self._decoder(record)
+            return decoder(record.data)
+        except Exception as error:  # of mcap_ros2, whose parts have no common base
+            raise ValueError(
+                f"a message of {record.topic} ({record.type}) cannot be decoded: {error}"
+            ) from error
+
+    def _decoder(self, record: Record) -> Callable[[bytes], object]:
+        text = record.definition
+        if text is None:
+            text = self.definitions[record.type]
+        if not text:
+            raise ValueError("its definition is not of ROS 2")
+        schema = Schema(id=1, name=record.type, encoding=ROS_2, data=text.encode())
+        found = DecoderFactory().decoder_for("cdr", schema)
+        if found is None:
+            raise ValueError("its definition is not of ROS 2")
+        return found
 
 
 def iterate(
@@ -76,23 +89,31 @@ def iterate(
                 yield Decoded(record, decoder.decode(record) if decode else None)
 
 
-def count_topics(files: Sequence[Path]) -> dict[str, TopicCounts]:
-    """Number of messages by topic, and of missing ones by the publishers' own counts."""
+def count_topics(
+    files: Sequence[Path], damage: dict[Path, list[str]] | None = None
+) -> dict[str, TopicCounts]:
+    """Number of messages by topic, and of missing ones by the publishers' own counts.
+
+    `damage` gets what is wrong with a file, by file.
+    """
     messages: Counter[str] = Counter()
     sizes: Counter[str] = Counter()
     missing: Counter[str] = Counter()
     times: dict[str, tuple[int, int]] = {}
     types: dict[str, str] = {}
+    definitions: dict[str, set[str | None]] = {}
     newest: dict[str, int] = {}
     uncounted: set[str] = set()
     for path in files:
-        for record in read_records(path):
+        found: list[str] = [] if damage is None else damage.setdefault(path, [])
+        for record in read_records(path, damage=found):
             topic, sequence = record.topic, record.sequence
             messages[topic] += 1
             sizes[topic] += len(record.data)
-            types[topic] = record.type
-            first, _ = times.get(topic, (record.log_ns, 0))
-            times[topic] = (first, record.log_ns)
+            types.setdefault(topic, record.type)
+            definitions.setdefault(record.type, set()).add(record.definition)
+            first, last = times.get(topic, (record.log_ns, record.log_ns))
+            times[topic] = (min(first, record.log_ns), max(last, record.log_ns))
             before = newest.get(topic)
             newest[topic] = sequence
             if sequence == 0 or (before is not None and 1 < sequence <= before):
@@ -106,9 +127,16 @@ def count_topics(files: Sequence[Path]) -> dict[str, TopicCounts]:
             sizes[topic],
             *times[topic],
             None if topic in uncounted else missing[topic],
+            _note(definitions[types[topic]]),
         )
         for topic in sorted(messages)
     }
+
+
+def _note(definitions: set[str | None]) -> str:
+    if "" in definitions:
+        return "not of ROS 2, is not decoded"
+    return f"one of {len(definitions)} definitions of this type" if len(definitions) > 1 else ""
 
 
 def camera_of(topic: str) -> str:

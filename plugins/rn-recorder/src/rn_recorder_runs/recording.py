@@ -18,8 +18,9 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
-from rn_recorder_runs.files import Record, repair, write_json
+from rn_recorder_runs.files import Record, write_json
 from rn_recorder_runs.incident import OpenIncident, cut, to_incident
+from rn_recorder_runs.repairing import repair
 from rn_recorder_runs.sink import Latched, Sink
 from rn_recorder_runs.store import RUN_FILE, RunStore, read_facts
 from roboneuron import (

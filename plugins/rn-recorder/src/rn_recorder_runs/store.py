@@ -142,7 +142,7 @@ class RunStore:
         """Add an index to every truncated file, unless a recorder is running here; return those
         that needed it.
         """
-        from rn_recorder_runs.files import repair  # heavy
+        from rn_recorder_runs.repairing import repair  # heavy
 
         held = None
         with suppress(OSError):
