@@ -43,6 +43,7 @@ class Module:
         self.deactivates_s, self.leaves_s = 0.0, 0.0
         self.exit_code: int | None = None
         self.ended_at = datetime.now(UTC)
+        self.log_path = Path("module.log")
         self.refusal: Exception | None = None
         self.is_slow_to_die = False
         self._world = world
