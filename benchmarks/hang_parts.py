@@ -81,6 +81,7 @@ class Client:
         self._answers: dict[int, Any] = {}
         self._came = threading.Condition()
         self._number = 0
+        self._is_ended = False
         threading.Thread(target=self._read, daemon=True).start()
         self.process = until(self._server, 20.0, "the server")
 
@@ -96,6 +97,9 @@ class Client:
             with self._came:
                 self._answers[message.get("id", -1)] = message
                 self._came.notify_all()
+        with self._came:
+            self._is_ended = True
+            self._came.notify_all()
 
     def send(self, method: str, params: dict[str, Any], **rest: Any) -> None:
         line = json.dumps({"jsonrpc": "2.0", "method": method, "params": params, **rest})
@@ -108,7 +112,8 @@ class Client:
         number = self._number
         self.send(method, params, id=number)
         with self._came:
-            if not self._came.wait_for(lambda: number in self._answers, timeout_s):
+            self._came.wait_for(lambda: number in self._answers or self._is_ended, timeout_s)
+            if number not in self._answers:
                 raise TimeoutError(f"{method} {params.get('name', '')} was not answered")
             return self._answers.pop(number)
 
