@@ -10,6 +10,7 @@ import json
 import stat
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from itertools import islice
 from pathlib import Path
 from typing import TypeVar
 
@@ -35,6 +36,18 @@ FAMILIES = {
 }
 """Backends that run a checkpoint, by the family that its config.json names."""
 _LISTED = 12
+_INSIDE = (
+    "pretrained_model",
+    "checkpoints/last/pretrained_model",
+    "checkpoints/*/pretrained_model",
+    "*/pretrained_model",
+    "snapshots/*",
+    "*",
+)
+"""Where programs keep the files of a model below the folder that people name: LeRobot's training,
+the cache of the Hugging Face hub, a folder that was unpacked into one of its name.
+"""
+_FAMILY_KEYS = ("type", "model_type")
 _AGAIN = "Check that the checkpoint is complete, or download it again."
 
 
@@ -63,6 +76,33 @@ def explain_families(family: object) -> str:
     return f"No backend of RoboNeuron runs that family. Those that read checkpoints run {known}."
 
 
+def explain_folder(path: Path) -> str:
+    """Hint for a file that is missing: what its folder is, and what to name instead."""
+    try:
+        return _explained(path)
+    except (OSError, ValueError):  # ValueError: NUL in the name
+        return _AGAIN
+
+
+def _explained(path: Path) -> str:
+    folder = path.parent
+    if not folder.is_dir():
+        return f"There is no folder {clip(folder, 300)}: name the one that holds {path.name}."
+    for inner in _INSIDE:
+        for found in sorted(folder.glob(inner)):
+            if (found / path.name).is_file():
+                return f"Name the folder inside it: {clip(found, 300)}."
+    if (folder / "params").is_dir() and not (folder / "config.json").is_file():
+        return (
+            "It is a checkpoint of openpi in JAX. Convert it with openpi's "
+            "examples/convert_jax_model_to_pytorch.py, or serve it with openpi and choose the "
+            "backend 'openpi'."
+        )
+    names = sorted(one.name for one in islice(folder.iterdir(), 1000))
+    holds = list_names(names) if names else "nothing"
+    return f"{clip(folder, 300)} holds {holds}: name the folder that holds {path.name}."
+
+
 def check_file(path: Path, max_bytes: int | None = None) -> int:
     """The size of `path` [bytes].
 
@@ -74,7 +114,7 @@ def check_file(path: Path, max_bytes: int | None = None) -> int:
         found = path.stat()
     except (OSError, ValueError) as error:  # ValueError: NUL in the name
         why = "does not exist" if isinstance(error, FileNotFoundError) else "cannot be read"
-        raise CheckpointError(f"{clip(path, 300)} {why}.", hint=_AGAIN) from error
+        raise CheckpointError(f"{clip(path, 300)} {why}.", hint=explain_folder(path)) from error
     if not stat.S_ISREG(found.st_mode):
         raise CheckpointError(f"{path} is not a regular file.", hint=_AGAIN)
     if max_bytes is not None and found.st_size > max_bytes:
@@ -159,5 +199,8 @@ def check_schema(raw: object, schema: TypeAdapter[T], source: Path) -> T:
         )
         raise CheckpointError(
             f"{source} lacks needed content: {where}: {clip(first['msg'], 300)}{given}.",
-            hint=_AGAIN,
+            hint=explain_families(first["input"])
+            if first["loc"] and first["loc"][-1] in _FAMILY_KEYS
+            else f"Compare {source.name} with that of a checkpoint that this backend runs; the "
+            "program that saved the model wrote it so.",
         ) from error
