@@ -188,6 +188,20 @@ def test_a_hull_of_many_vertices_is_bounded_and_never_smaller(tmp_path: Path) ->
             assert -0.002 <= found[pair] - expected[pair] <= 3e-4, pair  # its facets
 
 
+def test_a_flat_mesh_is_compared_beside_a_hull_of_many_vertices(tmp_path: Path) -> None:
+    flat = [(x, y, 0.0) for x, y, z in CORNERS if z > 0]
+    write_obj(tmp_path / "flat.obj", flat, [(0, 1, 2), (1, 2, 3)])
+    height = np.linspace(-0.5, 0.5, MOST_VERTICES + 200)
+    turn, width = np.arange(len(height)) * 2.4, np.sqrt(0.25 - height**2)
+    ball = np.stack([width * np.cos(turn), width * np.sin(turn), height], axis=1)
+    faces = [(i, i + 1, i + 2) for i in range(len(ball) - 2)]
+    write_obj(tmp_path / "ball.obj", [tuple(point) for point in ball.tolist()], faces)
+    profile = arm(mesh("ball.obj", "0.1 0.1 0.1"), tmp_path)
+    first = profile.urdf.replace("ball.obj", "flat.obj", 1)  # a plate, and balls beyond it
+    found = told(loaded(replace(profile, urdf=first)), sample(0, 0, 0, 0))
+    assert found["bar0", "bar2"] == pytest.approx(0.6 - 0.05 - 0.05, abs=1e-3)
+
+
 def test_links_that_are_built_together_are_not_compared(tmp_path: Path) -> None:
     """Bars on either side of a wrist of 5 mm are as near as the links of one joint."""
     write_obj(tmp_path / "cube.obj", CORNERS, FACES)

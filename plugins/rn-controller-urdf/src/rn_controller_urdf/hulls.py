@@ -18,6 +18,10 @@ MOST_VERTICES = 512
 """Bounds the time of one distance; hulls of links of public arms lack 1 to 3 mm with it."""
 
 
+_FLAT_M = 1e-4
+"""Thickness of a mesh whose points lie in a plane, either way."""
+
+
 def resolve_meshes(root: ET.Element, profile: RobotProfile) -> None:
     """Write the file of each mesh among the collision shapes into a description.
 
@@ -49,7 +53,7 @@ def missing_meshes(profile: RobotProfile, missing: list[str]) -> ConfigurationEr
 
 def replace_meshes(shapes: pinocchio.GeometryModel) -> bool:
     """Replace every mesh of a geometry model by a hull that contains it; returns whether there are
-    any. A flat mesh, which has no hull, stays.
+    any. A flat mesh, which has no hull, gets a thickness.
     """
     import coal  # type: ignore[import-untyped]  # heavy; comes with pinocchio
 
@@ -58,11 +62,14 @@ def replace_meshes(shapes: pinocchio.GeometryModel) -> bool:
         if not isinstance(shape.geometry, coal.BVHModelBase):
             continue
         has_meshes = True
-        try:
-            shape.geometry.buildConvexHull(False, "Qt")
-        except RuntimeError:  # qhull: its points lie in a plane
-            continue
-        shape.geometry = _bounded(shape.geometry.convex)
+        mesh = shape.geometry
+        corners = np.array([mesh.vertex(i) for i in range(mesh.num_vertices)])
+        spread = np.linalg.svd(corners - corners.mean(axis=0), compute_uv=False)
+        if spread[-1] <= _FLAT_M * math.sqrt(len(corners)):  # qhull does not survive a plane
+            thick = _FLAT_M * np.concatenate([np.eye(3), -np.eye(3)])
+            corners = (corners[:, np.newaxis] + thick).reshape(-1, 3)
+        hull = _hull_of(corners)
+        shape.geometry = _bounded(hull)
     return has_meshes
 
 
@@ -76,10 +83,7 @@ def _bounded(hull: Any) -> Any:
     if len(points) <= MOST_VERTICES:
         return hull
     chosen = np.unique(np.argmax(points @ _directions(MOST_VERTICES).T, axis=0))
-    kept = coal.StdVec_Vec3s()
-    for point in points[chosen]:
-        kept.append(point)
-    small = coal.Convex.convexHull(kept, False, "Qt")
+    small = _hull_of(points[chosen])
     here, there, tip = coal.Transform3s(), coal.Transform3s(), coal.Sphere(1e-9)
     lacking_m = 0.0
     for point in np.delete(points, chosen, axis=0):
@@ -89,6 +93,15 @@ def _bounded(hull: Any) -> Any:
         lacking_m = max(lacking_m, found.min_distance)
     small.setSweptSphereRadius(lacking_m + 1e-6)
     return small
+
+
+def _hull_of(points: NDArray[np.float64]) -> Any:
+    import coal  # heavy
+
+    kept = coal.StdVec_Vec3s()
+    for point in points:
+        kept.append(point)
+    return coal.Convex.convexHull(kept, False, "Qt")
 
 
 def _directions(count: int) -> NDArray[np.float64]:
