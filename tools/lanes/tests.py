@@ -61,6 +61,16 @@ def test_flakes(session: nox.Session) -> None:
 
 
 @lane
+def test_robots(session: nox.Session) -> None:
+    """public robots: places, distances, meshes and steps of the controller, judged by other code"""
+    session.run(
+        *(sys.executable, "-m", "pip", "install", "--quiet"),
+        *("--constraint", "constraints.txt", "--no-deps", "example-robot-data"),
+    )
+    python(session, "benchmarks/robots_sweep.py")
+
+
+@lane
 def test_view(session: nox.Session) -> None:
     """the live view in a headless Chromium (Debian: apt-get install chromium)"""
     pytest(session, "plugins/rn-view/tests")
