@@ -6,8 +6,10 @@ import errno
 import os
 import socket
 import threading
+import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
+from contextlib import ExitStack
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -170,6 +172,29 @@ def test_other_traffic_uses_no_attempt(
     join(tmp_path / "member", "127.0.0.1", listener.getsockname()[1], CODE, PORT)
     assert admitted.result(10.0).port == PORT
     assert len(complaints) == 2 * ATTEMPTS
+
+
+@pytest.mark.parametrize("count", [4, 100])
+@pytest.mark.parametrize("begins", [b"", b"\x00\x00"], ids=["silent", "half a length"])
+def test_machines_that_say_nothing_delay_no_other(
+    hub: Path, listener: socket.socket, tmp_path: Path, count: int, begins: bytes
+) -> None:
+    """An attempt may take 10 s."""
+    admitted = admitting(hub, listener, [])
+    port = listener.getsockname()[1]
+    with ExitStack() as silent:
+        for _ in range(count):
+            one = silent.enter_context(socket.create_connection(("127.0.0.1", port), 5.0))
+            one.sendall(begins)
+        begun_s = time.monotonic()
+        join(tmp_path / "member", "127.0.0.1", port, CODE, PORT)
+        assert admitted.result(10.0).port == PORT
+        assert time.monotonic() - begun_s < 8.0
+
+
+def test_the_hub_is_not_added_to_itself(hub: Path) -> None:
+    with pytest.raises(ConfigurationError, match="the hub itself"):
+        PairingHub(hub, "robot", address=None, days=90, notify=lambda _: None)
 
 
 class Failing(socket.socket):

@@ -103,3 +103,14 @@ def test_a_host_name_is_put_into_form(monkeypatch: pytest.MonkeyPatch) -> None:
     for found, expected in {"Lab_PC.local": "lab-pc-local", "...": "robot"}.items():
         monkeypatch.setattr("socket.gethostname", lambda found=found: found)
         assert host_name() == expected
+
+
+@pytest.mark.parametrize("mode", [0o666, 0o640, 0o602])
+def test_a_key_that_others_may_use_is_named(tmp_path: Path, mode: int) -> None:
+    assert link(tmp_path, "init", "--name", "robot").returncode == 0
+    key = tmp_path / "roboneuron" / "link" / "own.key"
+    assert str(key) not in link(tmp_path, "show").stderr
+    key.chmod(mode)
+    told = link(tmp_path, "show").stderr
+    assert str(key) in told
+    assert f"chmod 600 {key}" in told

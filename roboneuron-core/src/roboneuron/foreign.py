@@ -257,6 +257,11 @@ def octets(value: object, what: str) -> bytes:
         raise ForeignDataError(f"{what} is not written in hexadecimal digits") from error
 
 
+def encodable(text: str) -> str:
+    """Text that UTF-8 can encode, for a file: an argument of a command line may be of any bytes."""
+    return text.encode("utf-8", "replace").decode()
+
+
 def choice(value: object, what: str, allowed: Iterable[str]) -> str:
     """One of the allowed words."""
     for word in allowed:

@@ -24,11 +24,15 @@ LOCK_S = 2.0
 frozen.
 """
 _RAW = re.compile(
-    "[\x00-\x08\x0b-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2066-\u2069\ufeff\ud800-\udfff]"
+    "[\x00-\x08\x0b-\x1f\x7f-\x9f\xad\u061c\u115f\u1160\u180e\u200b-\u200f\u2028-\u202e\u2060-\u206f"
+    "\u3164\ufe00-\ufe0f\ufeff\uffa0\ufff9-\ufffb\ud800-\udfff\U000e0000-\U000e0fff]"
 )
 """Control characters except tab and newline, and characters that reverse or hide text. Source:
-Unicode, categories Cc and Cf.
+Unicode, categories Cc and Cf, and Default_Ignorable_Code_Point.
 """
+_MARKS = re.compile("(?<=[\u0300-\u036f]{4})[\u0300-\u036f]+")
+"""Combining marks beyond the fourth of a letter, which would cover the lines above."""
+MOST_SHOWN = 300
 
 
 def make_log_directory(path: Path) -> None:
@@ -79,9 +83,23 @@ def escaped(text: str) -> str:
     """The text with control characters as \\x1b and the like; further lines are indented, so that
     none looks like a log entry.
     """
-    return _RAW.sub(lambda m: m.group().encode("unicode_escape").decode(), text).replace(
-        "\n", "\n    "
-    )
+    plain = _RAW.sub(lambda m: m.group().encode("unicode_escape").decode(), text)
+    return _MARKS.sub("", plain).replace("\n", "\n    ")
+
+
+def printable(text: str, most: int = MOST_SHOWN) -> str:
+    """What others have written (a client, a node, a file, a server), for the eyes of a person: one
+    line of at most `most` characters, with everything escaped that could control a terminal, or
+    reverse or hide text. Printable text stays as it is.
+    """
+    # cut before and after: escaping makes up to ten characters of one
+    line = escaped(text[: most + 1]).replace("\n    ", "\\n").replace("\t", " ")
+    return line if len(line) <= most else f"{line[: most - 4]} ..."
+
+
+def quoted(text: str, most: int = MOST_SHOWN) -> str:
+    """`printable` text between quotation marks, which it cannot close."""
+    return '"' + printable(text, most).replace('"', "'") + '"'
 
 
 class PlainFormatter(logging.Formatter):

@@ -104,4 +104,4 @@ def test_a_stop_that_is_pressed_while_the_terminal_asks_is_kept(
     monkeypatch.setattr(sys.stdin, "isatty", lambda: True)
     assert main(["estop", "--state", str(tmp_path), "--reset"]) != 0
     assert "pressed again" in capsys.readouterr().err
-    assert latch.read_state().cause == "bob: a hand"
+    assert latch.read_state().cause == 'bob: "a hand"'

@@ -36,7 +36,7 @@ def test_a_press_right_after_a_reset_by_another_process_stops_again(latch, audit
     assert (
         EmergencyStopLatch.press_together([latch], who="ann", reason="fire") == []
     )  # it has not checked the file since
-    assert a_latch(latch.path).read_state().cause == "ann: fire"
+    assert a_latch(latch.path).read_state().cause == 'ann: "fire"'
 
 
 def test_only_the_stop_that_was_seen_is_released(latch, audit) -> None:
@@ -52,7 +52,7 @@ def test_only_the_stop_that_was_seen_is_released(latch, audit) -> None:
     guard.press(who="ann", reason="fire")
     with pytest.raises(RefusedError, match="pressed again"):
         latch.reset(who="bea", role="admin", audit=audit, agreed_ns=first_ns)
-    assert guard.read_state().cause == "ann: fire"
+    assert guard.read_state().cause == 'ann: "fire"'
     told = [json.loads(line) for line in audit.path.read_text().splitlines()]
     assert [(one["verdict"], one.get("rule", "")) for one in told[-2:]] == [
         ("allowed", ""),
@@ -67,7 +67,7 @@ def test_a_press_that_could_not_be_written_is_written_by_the_next(tmp_path: Path
         assert len(EmergencyStopLatch.press_together([latch], who="ann", reason="smoke")) == 1
     (tmp_path / "state").unlink()
     assert EmergencyStopLatch.press_together([latch], who="ann", reason="smoke") == []
-    assert a_latch(latch.path).read_state().cause == "ann: smoke"
+    assert a_latch(latch.path).read_state().cause == 'ann: "smoke"'
 
 
 def test_who_presses_what_another_has_latched_is_released_with_it(latch, audit) -> None:

@@ -143,7 +143,7 @@ def test_a_damaged_file_is_a_latch_without_a_cause(tmp_path: Path, content: byte
 def test_a_file_that_is_damaged_later_hides_no_cause_that_is_known(latch) -> None:
     latch.press(who="ann", reason="smoke")
     latch.path.write_bytes(b"")
-    assert latch.read_state().cause == "ann: smoke"
+    assert latch.read_state().cause == 'ann: "smoke"'
     assert a_latch(latch.path).read_state() == LatchState(latched=True)
 
 
@@ -154,7 +154,7 @@ def test_what_cannot_be_read_is_a_latch_without_a_cause(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("who", "reason", "cause"),
-    [("ann", "smoke", " by ann: smoke"), ("ann", "", " by ann"), ("", "smoke", ""), ("", "", "")],
+    [("ann", "smoke", ' by ann: "smoke"'), ("ann", "", " by ann"), ("", "smoke", ""), ("", "", "")],
 )
 def test_a_refusal_names_the_cause_and_then_what_the_caller_adds(
     latch, who: str, reason: str, cause: str
@@ -258,5 +258,5 @@ def test_a_second_press_tells_nobody_and_the_first_cause_stays(latch) -> None:
     latch.on_press.append(lambda: told.append("press"))
     latch.on_pressed.append(lambda: told.append("pressed"))
     latch.press(who="ann", reason="smoke")
-    assert latch.press(who="bob", reason="fire").cause == "ann: smoke"
+    assert latch.press(who="bob", reason="fire").cause == 'ann: "smoke"'
     assert told == ["press", "pressed"]

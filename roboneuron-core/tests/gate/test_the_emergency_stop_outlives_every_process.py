@@ -52,7 +52,7 @@ def test_it_survives_the_kill_of_the_process_that_pressed_it(latch) -> None:
     done = subprocess.run([sys.executable, "-c", PRESS, str(latch.path)], timeout=60, check=False)
     assert done.returncode == -signal.SIGKILL
     assert latch.is_latched()
-    with pytest.raises(RefusedError, match="latched by other process: test"):
+    with pytest.raises(RefusedError, match='latched by other process: "test"'):
         latch.check()
 
 

@@ -130,7 +130,7 @@ def test_the_whole_loop_from_start_to_stop(
         assert stopped["took_s"] < 1.0
         status = await agent.do("get_status")
         assert status["emergency_stop"] is True
-        assert status["emergency_stop_cause"] == "agent on stdio: a hand in the workspace"
+        assert status["emergency_stop_cause"] == 'agent on stdio: "a hand in the workspace"'
         assert (await agent.fail("set_instruction", instruction="move on"))[0] == "refused"
         assert (await agent.do("reset_emergency_stop"))["latched"] is False
 
@@ -209,7 +209,7 @@ def test_the_emergency_stop_outlives_the_server_and_stops_what_is_started_later(
                 robot = await agent.module("robot")
         code, text = await agent.fail("start_inference", instruction="move on")
         assert code == "refused"
-        assert "agent on stdio: smoke" in text
+        assert 'agent on stdio: "smoke"' in text
         assert (await agent.do("reset_emergency_stop"))["confirmed_by"] == ["robot"]
         assert (await agent.do("get_status"))["emergency_stop"] is False
 

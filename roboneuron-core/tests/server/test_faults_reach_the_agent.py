@@ -118,7 +118,7 @@ def test_faults_are_told_and_survived(
             await agent.until(is_stopped, 2.0)
         status = await agent.do("get_status")
         assert status["emergency_stop"]
-        assert status["emergency_stop_cause"].endswith("at the command line: smoke")
+        assert status["emergency_stop_cause"].endswith('at the command line: "smoke"')
         assert (
             subprocess.run(
                 [*estop, "--status"], env=server_environment, capture_output=True

@@ -28,6 +28,8 @@ Reply = dict[object, object] | NDArray[np.generic]
 _FIRST_PAUSE_S = 0.05
 _LONGEST_PAUSE_S = 1.0
 _UNAUTHORIZED = (401, 403)
+_NOT_HERE = (200, 400, 404, 405, 410, 426, 501)
+"""Of a server of another kind, or at another path; it stays so."""
 _SHOWN = 300
 _CLOSE_TIMEOUT_S = 0.5
 _RESET_DONE = "reset successful"
@@ -80,13 +82,15 @@ class PolicyClient:
         """
         self._drop()
         deadline_s = time.monotonic() + timeout_s
-        pause_s, reason = _FIRST_PAUSE_S, "no time was left"
+        pause_s, reason, was_answered = _FIRST_PAUSE_S, "no time was left", False
         while (remaining_s := deadline_s - time.monotonic()) > 0:
             try:
                 metadata = self._attempt(remaining_s)
             except (OSError, TimeoutError, WebSocketException) as error:
                 self._drop()
-                reason = _reason(error)
+                # the last attempt is cut short by the time limit, which is no reason
+                if not (was_answered and isinstance(error, TimeoutError)):
+                    reason, was_answered = _reason(error), isinstance(error, InvalidStatus)
                 self._check_final(error)
             else:
                 self.connections += 1
@@ -94,8 +98,9 @@ class PolicyClient:
             if self._closed.wait(min(pause_s, max(0.0, deadline_s - time.monotonic()))):
                 raise NotReadyError(f"The client of {self._url} was closed.")
             pause_s = min(2 * pause_s, _LONGEST_PAUSE_S)
+        what = "did not admit us" if was_answered else "did not answer"
         raise NotReadyError(
-            f"The policy server at {self._url} did not answer within {timeout_s:g} s: {reason}.",
+            f"The policy server at {self._url} {what} within {timeout_s:g} s: {reason}.",
             hint="Start it, or correct the option 'url'.",
         )
 
@@ -247,6 +252,13 @@ class PolicyClient:
                 f"The policy server at {self._url} refused the key (HTTP "
                 f"{error.response.status_code}).",
                 hint="Set api_key_file to a file with a valid key.",
+            ) from error
+        if isinstance(error, InvalidStatus) and error.response.status_code in _NOT_HERE:
+            raise ConfigurationError(
+                f"{self._url} answers, but with HTTP {error.response.status_code}: there is no "
+                "policy at this address.",
+                hint="Correct the path in the option 'url': openpi's own server uses none, "
+                "vLLM-Omni /v1/realtime/robot/openpi, SGLang /openpi/policy.",
             ) from error
 
     def _drop(self) -> None:

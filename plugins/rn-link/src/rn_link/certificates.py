@@ -139,6 +139,12 @@ def read_certificate(path: Path) -> x509.Certificate:
         ) from error
 
 
+def exposed_keys(folder: Path) -> list[Path]:
+    """Keys of this machine that others may read or replace."""
+    keys = (folder / "ca.key", folder / "own.key")
+    return [key for key in keys if key.exists() and key.stat().st_mode & 0o077]
+
+
 def read_key(path: Path) -> ec.EllipticCurvePrivateKey:
     """Read a key of this machine.
 
@@ -154,7 +160,7 @@ def read_key(path: Path) -> ec.EllipticCurvePrivateKey:
         ) from error
     if mode & 0o077:
         raise ConfigurationError(
-            f"Others may read the key {path}.",
+            f"Others may read or replace the key {path} (mode {mode & 0o777:o}).",
             hint=f"Pair the machine again; if nobody has read it, type `chmod 600 {path}`.",
         )
     if not isinstance(key, ec.EllipticCurvePrivateKey):

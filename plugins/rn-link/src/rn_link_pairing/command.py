@@ -173,8 +173,13 @@ def _show(folder: Path, as_json: bool) -> None:
         else:
             _say("This machine has no link. `roboneuron link init` creates one.")
         return
-    from rn_link.certificates import expiries  # heavy
+    from rn_link.certificates import expiries, exposed_keys  # heavy
 
+    for key in exposed_keys(folder):
+        _complain(
+            f"Others may read or replace the key {key} (mode {key.stat().st_mode & 0o777:o}). Pair "
+            f"the machine again; if nobody has read it, type `chmod 600 {key}`."
+        )
     dates = expiries(machine, folder)
     connections = read_connections(folder)
     if as_json:

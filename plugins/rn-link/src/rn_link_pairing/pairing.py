@@ -10,11 +10,15 @@ import errno
 import json
 import secrets
 import socket
+import threading
 import time
+from collections import deque
 from collections.abc import Callable
-from contextlib import closing
+from contextlib import closing, suppress
 from datetime import UTC, datetime
 from pathlib import Path
+from queue import Empty, Queue
+from typing import NamedTuple
 
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
@@ -33,6 +37,9 @@ ATTEMPTS = 3
 """Number of attempts; each tries one of a million codes."""
 _ATTEMPT_S = 10.0
 _SESSION = 16
+_MOST_SILENT = 64
+"""Connections that have sent no message yet."""
+_SLICE_S = 0.1
 _CLOSED = (errno.EBADF, errno.EINVAL)
 """Errors of a listener that was closed."""
 _PAUSE_S = 0.5
@@ -57,6 +64,102 @@ def open_listener(port: int) -> socket.socket:
             f"The link cannot listen on port {port}: {error.strerror or error}.",
             hint="Name another with --port, and `--join ADDRESS:PORT` on the other machine.",
         ) from error
+
+
+class _Asking(NamedTuple):
+    """A machine that has begun to pair; it has not tried a code yet."""
+
+    connection: socket.socket
+    wire: Wire
+    address: str
+    session: bytes
+    share: bytes
+
+
+class _Waiting:
+    """Accepts connections, and reads the first message of each on a thread of its own: one that
+    sends nothing delays no other.
+    """
+
+    def __init__(
+        self, listener: socket.socket, end_s: float, notify: Callable[[str], None]
+    ) -> None:
+        self._listener, self._end_s, self._notify = listener, end_s, notify
+        self._asking: Queue[_Asking | OSError] = Queue()
+        self._silent: deque[socket.socket] = deque()
+        self._is_closed = threading.Event()
+        self._thread = threading.Thread(target=self._accept, name="pairing", daemon=True)
+        self._thread.start()
+
+    def next(self) -> _Asking | None:
+        """The next machine that asks; None at the end of the time.
+
+        Raises:
+            OSError: the listener cannot be used any more.
+        """
+        with suppress(Empty):
+            found = self._asking.get(timeout=max(0.001, self._end_s - time.monotonic()))
+            if isinstance(found, OSError):
+                raise found
+            return found
+        return None
+
+    def deadline_s(self) -> float:
+        """By when an attempt that begins now has to be over [monotonic s]."""
+        return min(self._end_s, time.monotonic() + _ATTEMPT_S)
+
+    def close(self) -> None:
+        """Accept no more, and close what has not asked yet."""
+        self._is_closed.set()
+        self._thread.join()
+        for connection in list(self._silent):
+            _shut(connection)
+        with suppress(Empty):
+            while True:
+                left = self._asking.get_nowait()
+                if not isinstance(left, OSError):
+                    left.connection.close()
+
+    def _accept(self) -> None:
+        while not self._is_closed.is_set() and time.monotonic() < self._end_s:
+            try:
+                self._listener.settimeout(_SLICE_S)
+                connection, (address, _) = self._listener.accept()
+            except TimeoutError:
+                continue
+            except OSError as error:
+                if error.errno in _CLOSED:
+                    self._asking.put(error)
+                    return
+                # any other error concerns one connection, or passes: accept(2), "Error handling"
+                self._notify(f"A machine cannot connect: {error}.")
+                self._is_closed.wait(_PAUSE_S)
+                continue
+            self._silent.append(connection)
+            if len(self._silent) > _MOST_SILENT:  # the one that has said nothing for longest
+                _shut(self._silent.popleft())
+            threading.Thread(target=self._read, args=(connection, address), daemon=True).start()
+
+    def _read(self, connection: socket.socket, address: str) -> None:
+        wire = Wire(connection, self.deadline_s())
+        try:
+            session, share = map(to_bytes, wire.receive("session", "share"))
+            if len(session) != _SESSION:
+                raise PairingError("the other side does not use this protocol")
+        except (PairingError, OSError) as error:
+            if not self._is_closed.is_set():
+                self._notify(f"{address}: {error}.")
+            connection.close()
+        else:
+            self._asking.put(_Asking(connection, wire, address, session, share))
+        finally:
+            with suppress(ValueError):
+                self._silent.remove(connection)
+
+
+def _shut(connection: socket.socket) -> None:
+    with suppress(OSError):
+        connection.shutdown(socket.SHUT_RDWR)
 
 
 class PairingHub:
@@ -85,6 +188,11 @@ class PairingHub:
         self._days = days
         self._notify = notify
         self._hub = read_hub(folder)
+        if self._name == self._hub.name:
+            raise ConfigurationError(
+                f"{name!r} is this machine, the hub itself.",
+                hint="Name the machine that is to be added, such as gpu-1.",
+            )
 
     def serve(self, listener: socket.socket, code: str, limit_s: float = PAIRING_S) -> Peer:
         """Pair with the machine that knows the code, and return it.
@@ -92,43 +200,33 @@ class PairingHub:
         Raises:
             ConfigurationError: none within `limit_s` [s] and ATTEMPTS.
         """
-        end_s = time.monotonic() + limit_s
+        waiting = _Waiting(listener, time.monotonic() + limit_s, self._notify)
         failed = 0
-        while failed < ATTEMPTS:
-            listener.settimeout(max(0.001, end_s - time.monotonic()))
-            try:
-                connection, (address, _) = listener.accept()
-            except TimeoutError:
-                raise ConfigurationError(
-                    f"No machine has paired within {limit_s:g} s.",
-                    hint=f"Type `roboneuron link add {self._name}` again for a new code.",
-                ) from None
-            except OSError as error:
-                if error.errno in _CLOSED or time.monotonic() > end_s:
-                    raise
-                # any other error concerns one connection, or passes: accept(2), "Error handling"
-                self._notify(f"A machine cannot connect: {error}.")
-                time.sleep(_PAUSE_S)
-                continue
-            with closing(connection):
-                wire = Wire(connection, min(end_s, time.monotonic() + _ATTEMPT_S))
-                try:
-                    return self._admit(wire, code, address)
-                except (PairingError, OSError) as error:
-                    self._notify(f"{address}: {error}.")
-                    # a connection that sends nothing has tried no code
-                    failed += isinstance(error, WrongCodeError)
+        with closing(waiting):
+            while failed < ATTEMPTS:
+                asking = waiting.next()
+                if asking is None:
+                    raise ConfigurationError(
+                        f"No machine has paired within {limit_s:g} s.",
+                        hint=f"Type `roboneuron link add {self._name}` again for a new code.",
+                    )
+                # one after the other: each tries a code
+                asking.wire.begin(waiting.deadline_s())
+                with closing(asking.connection):
+                    try:
+                        return self._admit(asking, code)
+                    except (PairingError, OSError) as error:
+                        self._notify(f"{asking.address}: {error}.")
+                        failed += isinstance(error, WrongCodeError)
         raise ConfigurationError(
             f"{ATTEMPTS} attempts had a wrong code; the code is no longer valid.",
             hint=f"Type `roboneuron link add {self._name}` again for a new code.",
         )
 
-    def _admit(self, wire: Wire, code: str, address: str) -> Peer:
-        session, share = map(to_bytes, wire.receive("session", "share"))
-        if len(session) != _SESSION:
-            raise PairingError("the other side does not use this protocol")
-        exchange = Exchange(code, session)
-        to_hub, to_member = exchange.keys(share, is_hub=True)
+    def _admit(self, asking: _Asking, code: str) -> Peer:
+        wire = asking.wire
+        exchange = Exchange(code, asking.session)
+        to_hub, to_member = exchange.keys(asking.share, is_hub=True)
         try:
             # from here on the other side can try a code, even without answering
             wire.send(share=exchange.share.hex())
@@ -137,7 +235,7 @@ class PairingHub:
         except (PairingError, OSError) as error:
             raise WrongCodeError(str(error)) from error
         request, port = parse(content, "request", "port")
-        peer = Peer(self._address or address, _port(port))
+        peer = Peer(self._address or asking.address, _port(port))
         certificate = add_member(
             self._folder, self._name, peer, _key(request), datetime.now(UTC), self._days
         )

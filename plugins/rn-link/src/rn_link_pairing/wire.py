@@ -21,6 +21,10 @@ class Wire:
         self._connection = connection
         self._deadline_s = deadline_s
 
+    def begin(self, deadline_s: float) -> None:
+        """Set another deadline (monotonic)."""
+        self._deadline_s = deadline_s
+
     def send(self, **fields: object) -> None:
         """Send one message; raises OSError."""
         content = json.dumps(fields).encode()

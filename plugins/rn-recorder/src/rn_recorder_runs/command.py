@@ -224,12 +224,14 @@ def _label(store: RunStore, arguments: Namespace) -> int:
 
 
 def _delete(store: RunStore, names: list[str], agreed: bool) -> int:
+    from roboneuron.command import terminal
+
     runs = [store.get(name) for name in names]
     if not agreed:
         if not sys.stdin.isatty():
             raise InvalidInputError("Nobody can be asked whether to delete.", hint="Say --yes.")
         print("\n".join(run.id for run in runs))
-        if input("Delete? [y/N] ").strip().lower() not in ("y", "yes"):
+        if not terminal.is_agreed("Delete?"):
             return 1
     for run in runs:
         store.delete(run)

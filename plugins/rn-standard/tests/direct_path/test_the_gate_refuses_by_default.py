@@ -168,7 +168,7 @@ def test_a_latched_stop_refuses_all_motion_but_no_reading(make_gate, ask, endpoi
     gate = make_gate()
     gate.latch.latch(who="viewer-1", reason="smoke", audit=gate.audit)
     for name, value in (("velocity", FORWARD), ("enable", {"data": True})):
-        with pytest.raises(RefusedError, match="latched by viewer-1: smoke"):
+        with pytest.raises(RefusedError, match='latched by viewer-1: "smoke"'):
             gate.check(ask(endpoints[name], value))
     with pytest.raises(RefusedError):
         gate.check_running()

@@ -108,7 +108,7 @@ def test_a_latched_emergency_stop_is_told_with_its_cause(tmp_path: Path) -> None
     EmergencyStopLatch(tmp_path / ESTOP_FILE, time.time_ns).latch(who="the test", reason="a finger")
     finding = find("emergency-stop", config_in(tmp_path))
     assert finding.verdict is Severity.WARNING
-    assert "the test: a finger" in finding.text
+    assert 'the test: "a finger"' in finding.text
 
 
 def test_what_a_driver_runs_on_is_told(monkeypatch: pytest.MonkeyPatch) -> None:

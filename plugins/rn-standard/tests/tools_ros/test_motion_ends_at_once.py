@@ -251,7 +251,7 @@ def test_pressing_the_stop_wakes_what_moves(
             exposed, "a test", threading.Event()
         ) as motion:
             entered.set()
-            with pytest.raises(RefusedError, match="latched by somebody: a test"):
+            with pytest.raises(RefusedError, match='latched by somebody: "a test"'):
                 motion.sleep_until(time.monotonic() + 60)
 
     thread = threading.Thread(target=move)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import codecs
+import getpass
 import logging
 import os
 import re
@@ -12,11 +13,13 @@ from collections.abc import Sequence
 from contextlib import suppress
 from io import TextIOWrapper
 
-from roboneuron.errors import RoboNeuronError
-from roboneuron.log_files import begin_logging
+from roboneuron.errors import RefusedError, RoboNeuronError
+from roboneuron.log_files import begin_logging, printable
 
 TRACEBACK_VARIABLE = "ROBONEURON_TRACEBACK"
 """Environment variable that makes unexpected errors show their traceback."""
+_MOST_LINE, _MOST_LINES = 2000, 40
+"""Of an error shown in a terminal."""
 EXIT_USAGE = 2
 """The command could not run: wrong arguments, a wrong configuration, something not installed."""
 EXIT_INTERRUPTED = 130
@@ -136,19 +139,59 @@ def show_error(error: BaseException) -> int:
         return EXIT_INTERRUPTED
     cause = next((leaf for leaf in leaves if isinstance(leaf, RoboNeuronError)), leaves[0])
     if isinstance(cause, RoboNeuronError):
-        print(f"roboneuron: {cause}", file=sys.stderr)
+        print(f"roboneuron: {_shown(str(cause))}", file=sys.stderr)
         return EXIT_USAGE
     if isinstance(cause, OSError):
         place = f"{cause.filename}: " if cause.filename else ""
-        print(f"roboneuron: {place}{str(cause.strerror or cause).rstrip('.')}.", file=sys.stderr)
+        told = printable(f"{place}{str(cause.strerror or cause).rstrip('.')}", _MOST_LINE)
+        print(f"roboneuron: {told}.", file=sys.stderr)
         return EXIT_USAGE
     words = str(cause).strip().splitlines() or ["no message"]
-    what = f"an unexpected {type(cause).__name__}: {words[0].rstrip('.')}"
+    what = f"an unexpected {type(cause).__name__}: {_shown(words[0].rstrip('.'))}"
     print(
         f"roboneuron: {what}. Set {TRACEBACK_VARIABLE}=1 to see where, and report it.",
         file=sys.stderr,
     )
     return EXIT_INTERNAL
+
+
+def _shown(text: str) -> str:
+    """An error's text for the terminal: it may quote a client, a file or a server. Our own lines
+    stay lines.
+    """
+    return "\n".join(printable(line, _MOST_LINE) for line in text.split("\n")[:_MOST_LINES])
+
+
+def ask(question: str) -> str:
+    """A person's answer to a question in the terminal, in lower case; empty at the end of the
+    input.
+    """
+    try:
+        return input(question).strip().lower()
+    except EOFError:
+        print()  # the question's line
+        return ""
+
+
+def is_agreed(question: str) -> bool:
+    """True if a person answers with yes."""
+    return ask(f"{question} [y/N] ") in ("y", "yes")
+
+
+def ask_hidden(question: str) -> str:
+    """A line typed without being shown, such as a PIN.
+
+    Raises:
+        RefusedError: the input has ended.
+    """
+    try:
+        return getpass.getpass(question)
+    except EOFError as error:
+        raise RefusedError(
+            f"The input ended before an answer to {question.strip()!r}; nothing was changed.",
+            hint="Type the answer in a terminal.",
+            rule="person",
+        ) from error
 
 
 def _leaves(error: BaseException) -> list[BaseException]:

@@ -7,12 +7,12 @@ has its own. A person releases it in a terminal with `roboneuron estop --reset`.
 
 from __future__ import annotations
 
-import getpass
 import sys
 import time
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
+from roboneuron.cli.terminal import ask_hidden, is_agreed
 from roboneuron.config import read_state_directory, robot_folder
 from roboneuron.errors import ConfigurationError, RefusedError, RoboNeuronError
 from roboneuron.estop.latch import EmergencyStopLatch
@@ -138,22 +138,20 @@ def _reset(latch: EmergencyStopLatch, audit: AuditLog, who: str) -> int:
         return 0
     _check_terminal("The emergency stop is released")
     print(f"Latched{f' by {state.cause}' if state.cause else ''} ({latch.path}).")
+    if state.reason:
+        print("The words in quotation marks are theirs, a person's or an agent's.")
     print(
         "Look at the robot. Nothing moves until someone gives a new instruction or moves the arm."
     )
-    try:
-        answer = input("Release the emergency stop? [y/N] ")
-    except EOFError:
-        answer = ""
-    if answer.strip().lower() not in ("y", "yes"):
+    if not is_agreed("Release the emergency stop?"):
         print("It stays latched.")
         return 1
-    pin = getpass.getpass("PIN: ") if ReleasePin(latch.path.parent).is_set else ""
+    pin = ask_hidden("PIN: ") if ReleasePin(latch.path.parent).is_set else ""
     latch.reset(who=who, role=Role.ADMIN, audit=audit, pin=pin, agreed_ns=state.time_ns)
     time.sleep(_AGAIN_S)  # a process that latches it again does so within one check of the file
     if latch.is_latched():
         print(
-            f"It was latched again at once by {latch.read_state().who or 'somebody'}.",
+            f"It was latched again at once by {latch.read_state().cause or 'somebody'}.",
             file=sys.stderr,
         )
         return 1
@@ -180,9 +178,9 @@ def _set_pin(pin: ReleasePin, audit: AuditLog, who: str) -> int:
     """
     _check_terminal("The PIN is set")
     if pin.is_set:
-        pin.check(getpass.getpass("Present PIN: "), who=who, audit=audit)
-    new = getpass.getpass("New PIN (empty for none): ")
-    if getpass.getpass("Again: ") != new:
+        pin.check(ask_hidden("Present PIN: "), who=who, audit=audit)
+    new = ask_hidden("New PIN (empty for none): ")
+    if ask_hidden("Again: ") != new:
         print("They differ; nothing was changed.", file=sys.stderr)
         return 1
     audit.write(

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from roboneuron import foreign
 from roboneuron.errors import ForeignDataError
+from roboneuron.log_files import printable, quoted
 
 ESTOP_FILE = "emergency_stop.latched"
 """Name of the latch in the state directory."""
@@ -35,8 +36,13 @@ class LatchState:
 
     @property
     def cause(self) -> str:
-        """Origin and reason as text; empty if unknown."""
-        return ": ".join(word for word in (self.who, self.reason) if word) if self.who else ""
+        """Origin and reason as text for a person; empty if unknown. The reason is in the words of
+        who pressed it, which may be an agent, and so is quoted.
+        """
+        if not self.who:
+            return ""
+        who = printable(self.who, 100)
+        return f"{who}: {quoted(self.reason)}" if self.reason else who
 
 
 def read_cause(path: Path) -> LatchState:
@@ -59,6 +65,7 @@ def read_cause(path: Path) -> LatchState:
 def write_cause(descriptor: int, state: LatchState) -> None:
     """Write the cause into the open file. Raises OSError if the disk is full."""
     content = {name: value for name, value in asdict(state).items() if name != "latched"}
+    content |= {name: foreign.encodable(content[name]) for name in ("who", "reason")}
     os.write(descriptor, json.dumps(content).encode())
 
 

@@ -11,6 +11,8 @@ from pydantic import ValidatorFunctionWrapHandler as Parse
 from roboneuron.errors import InternalError, RoboNeuronError
 from roboneuron.modules.settings import FOLLOWING_NOTE
 
+_MOST_PAIRS, _MOST_KEY, _MOST_VALUE, _MOST_REPORT = 128, 100, 2000, 6000
+"""Of the reports that are kept: any node can publish one [characters; the last, all values]."""
 _TABLES = {"dropped": "dropped_by", "detail": "detail"}
 """Fields of several pairs, by the prefix before the dot in their keys."""
 
@@ -115,7 +117,10 @@ class Report(ModuleFacts):
         """
         plain: dict[str, str] = {}
         tables: dict[str, dict[str, str]] = {"dropped_by": {}, "detail": {}, "metrics": {}}
-        for key, text in values.items():
+        left = _MOST_REPORT
+        for key, text in list(values.items())[:_MOST_PAIRS]:
+            key, text = key[:_MOST_KEY], text[: min(_MOST_VALUE, left)]
+            left -= len(text)
             prefix, dot, name = key.partition(".")
             if key in _PLAIN:
                 plain[key] = text

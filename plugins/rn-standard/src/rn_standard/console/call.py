@@ -95,7 +95,7 @@ async def _call_all(arguments: Namespace, calls: list[tuple[str, dict[str, objec
                 tool, values, progress_callback=None if arguments.quiet else _show_progress
             )
             if answer.is_error:
-                print(f"roboneuron: {_text(answer)}", file=sys.stderr)
+                print(f"roboneuron: {_shown(_text(answer))}", file=sys.stderr)
                 status = 1
                 break
             print(json.dumps(answer.structured_content, indent=2), flush=True)
@@ -130,7 +130,7 @@ async def _end(client: Client, *, stays: bool, quiet: bool) -> None:
 
 
 async def _show_progress(progress: float, total: float | None, message: str | None) -> None:
-    print(f"... {message or progress}", file=sys.stderr)
+    print(f"... {_shown(message) if message else progress}", file=sys.stderr)
 
 
 def _text(answer: types.CallToolResult) -> str:
@@ -150,3 +150,10 @@ def _save_images(answer: types.CallToolResult, folder: Path, tool: str) -> None:
         path = folder / f"{tool}_{index}.{picture.mime_type.partition('/')[2]}"
         path.write_bytes(b64decode(picture.data))
         print(f"saved {path}", file=sys.stderr)
+
+
+def _shown(text: str) -> str:
+    """A server's words for the terminal."""
+    from roboneuron.command import log_files
+
+    return log_files.printable(text, 2000)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from roboneuron import ForeignDataError, foreign
-from roboneuron.command import FAULTS, Health, Report
+from roboneuron.command import FAULTS, Health, Report, log_files
 
 
 class ModuleError(BaseModel):
@@ -50,7 +50,13 @@ class ReportedModule(BaseModel):
     @classmethod
     def from_report(cls, module: str, pid: int, health: Health, report: Report) -> ReportedModule:
         """Create it from a module's report on /diagnostics."""
-        failure = ModuleError(code=report.error_code, message=report.error, hint=report.error_hint)
+        # any node can publish a report, and a module's error may quote an agent or a server
+        printable = log_files.printable
+        failure = ModuleError(
+            code=printable(report.error_code),
+            message=printable(report.error),
+            hint=printable(report.error_hint),
+        )
         names = set(cls.model_fields) & {
             "uptime_s",
             "rate_hz",
@@ -65,9 +71,9 @@ class ReportedModule(BaseModel):
             **{name: getattr(report, name) for name in sorted(names)},
             published=report.published,
             dropped=report.dropped,
-            waiting_for=report.waiting_for,
-            instruction=report.instruction,
-            note=report.note,
+            waiting_for=printable(report.waiting_for),
+            instruction=printable(report.instruction),
+            note=printable(report.note),
             error=failure if report.error_code else None,
             metrics=dict(report.metrics),
             detail=dict(report.detail),
@@ -107,6 +113,11 @@ class ServerStatus(BaseModel):
     def from_answer(cls, answer: Mapping[str, object], source: str) -> ServerStatus:
         """Parse the answer of `get_status`."""
         return cls.model_validate({**answer, "source": source})
+
+    @field_validator("emergency_stop_cause")
+    @classmethod
+    def _shown(cls, cause: str) -> str:
+        return log_files.printable(cause, 500)
 
 
 class SimulatedObject(BaseModel):

@@ -7,6 +7,8 @@ import sys
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
+_MOST_TEXT = 1000
+
 
 class Doctor:
     """Check whether this machine and a configuration are ready: Python, ROS, shared memory, images,
@@ -29,7 +31,7 @@ class Doctor:
 
         from rn_standard.doctor.checks import run_checks
         from rn_standard.doctor.finding import Finding, Severity
-        from roboneuron.command import load_config
+        from roboneuron.command import load_config, log_files
 
         config = load_config(arguments.config)
         has_colour = sys.stdout.isatty() and "NO_COLOR" not in os.environ
@@ -41,9 +43,10 @@ class Doctor:
 
         def show(finding: Finding) -> None:
             mark, colour = marks[finding.verdict]
-            print(f"\x1b[{colour}m{mark}\x1b[0m" if has_colour else mark, finding.text, flush=True)
+            shown = log_files.printable(finding.text, _MOST_TEXT)
+            print(f"\x1b[{colour}m{mark}\x1b[0m" if has_colour else mark, shown, flush=True)
             if finding.hint:
-                print(f"    {finding.hint}", flush=True)
+                print(f"    {log_files.printable(finding.hint, _MOST_TEXT)}", flush=True)
 
         found = []
         for check, finding in run_checks(config):

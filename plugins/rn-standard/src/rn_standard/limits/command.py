@@ -36,7 +36,7 @@ class Limits:
         """Run `roboneuron limits`; exit status 1 if the person did not agree."""
         from rn_standard.tools_arm.tightening import FILE_NAME, TighteningFile
         from roboneuron import ConfigurationError
-        from roboneuron.command import environment, reading
+        from roboneuron.command import environment, log_files, reading
 
         configured = reading.read_state_directory(arguments.config) if arguments.config else None
         directory = environment.state_directory(
@@ -62,7 +62,7 @@ class Limits:
                 if record is None or record.tightening.is_empty:
                     continue
                 tightened = json.dumps(record.tightening.model_dump(exclude_defaults=True))
-                print(f"{path.parent}: {tightened}, by {record.who}")
+                print(f"{path.parent}: {tightened}, by {log_files.printable(record.who)}")
             if arguments.loosen:
                 status |= _loosen(file)
         if not files:
@@ -78,7 +78,7 @@ def _loosen(file: object) -> int:
     """
     from rn_standard.tools_arm.tightening import TightenedRecord, Tightening, TighteningFile
     from roboneuron import RefusedError
-    from roboneuron.command import AuditLog, AuditRecord, Role
+    from roboneuron.command import AuditLog, AuditRecord, Role, terminal
 
     assert isinstance(file, TighteningFile)
     if not sys.stdin.isatty():
@@ -87,11 +87,7 @@ def _loosen(file: object) -> int:
             hint="Run the same command in a terminal (over ssh: `ssh -t`).",
             rule="person",
         )
-    try:
-        answer = input("Return to the configured limits? [y/N] ")
-    except EOFError:
-        answer = ""
-    if answer.strip().lower() not in ("y", "yes"):
+    if not terminal.is_agreed("Return to the configured limits?"):
         print("They stay.")
         return 1
     who = AuditLog.user_at_terminal()

@@ -30,7 +30,7 @@ from roboneuron import (
     Tool,
     foreign,
 )
-from roboneuron.feature import AuditLog, AuditRecord, Periodic, Role
+from roboneuron.feature import AuditLog, AuditRecord, Periodic, Role, log_files
 
 log = logging.getLogger(__name__)
 NAME = "maintenance"
@@ -54,7 +54,8 @@ class OutOfService:
     def __str__(self) -> str:
         """A sentence for refusals and for the stop."""
         at = time.strftime("%Y-%m-%d %H:%M", time.localtime(self.since_s))
-        return f"{self.who} took the robot out of service at {at}: {self.reason or 'maintenance'}"
+        who, reason = log_files.printable(self.who, 100), self.reason or "maintenance"
+        return f"{who} took the robot out of service at {at}: {log_files.printable(reason)}"
 
 
 class MaintenanceFile:
@@ -99,7 +100,11 @@ class MaintenanceFile:
         found = self.read()
         if found is not None:
             return found
-        state = OutOfService(who=who[:200], reason=reason[:_MOST_TEXT], since_s=time.time())
+        state = OutOfService(
+            who=foreign.encodable(who[:200]),
+            reason=foreign.encodable(reason[:_MOST_TEXT]),
+            since_s=time.time(),
+        )
         audit.write_if_possible(_record(who, role, "begin_maintenance", reason))
         part = self.path.with_suffix(f".{os.getpid()}.part")
         try:

@@ -43,7 +43,7 @@ class Maintenance:
         """
         from rn_standard.ops.maintenance import MaintenanceFile
         from roboneuron import RefusedError
-        from roboneuron.command import AuditLog, Role, environment, estop, reading
+        from roboneuron.command import AuditLog, Role, environment, estop, reading, terminal
 
         configured = reading.read_state_directory(arguments.config) if arguments.config else None
         directory = environment.state_directory(
@@ -75,7 +75,7 @@ class Maintenance:
                 continue
             if not arguments.end:
                 status = 1
-            elif input("Is everybody away from the robot? Back in service? [y/N] ") in ("y", "yes"):
+            elif terminal.is_agreed("Is everybody away from the robot? Back in service?"):
                 file.end(who, Role.ADMIN, audit)
                 print("In service. The emergency stop is latched: roboneuron estop --reset.")
             else:

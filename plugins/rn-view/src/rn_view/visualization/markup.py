@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+import html
 import math
 import time
 from collections.abc import Mapping, Sequence
-from html import escape
 
 from rn_view.diagnostics.event_list import ShownEvent
 from rn_view.recordings.playback import Mark, Playback
 from rn_view.sources.source import ModuleRow, PageState
 from roboneuron import RobotProfile
-from roboneuron.feature import EXPLANATIONS, FAULTS
+from roboneuron.feature import EXPLANATIONS, FAULTS, log_files
 
 _GOOD, _IDLE = "light-dark(#237032, #69db7c)", "light-dark(#555c63, #ced4da)"
 _BAD, _STARTING = "light-dark(#b01e1e, #ff8787)", "light-dark(#9c5200, #ffc078)"
@@ -25,8 +25,14 @@ STYLE = (
     '<style>@media (max-width: 36em) {div[style*="width: 20em"] {width: 100% !important}}</style>'
 )
 """On a phone viser 1.1 makes the panel 20em wide. This makes it as wide as the page."""
+_MOST_TEXT = 2000
 _NEAR = 0.05
 """Share of a joint's range within which it is shown as near its limit."""
+
+
+def escape(text: str) -> str:
+    """Text from outside as HTML: without markup, and without what reverses or hides text."""
+    return html.escape(log_files.printable(text, _MOST_TEXT))
 
 
 def stop_text(snapshot: PageState | None, label: str) -> str:
