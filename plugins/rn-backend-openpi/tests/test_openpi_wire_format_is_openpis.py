@@ -51,7 +51,7 @@ def test_any_bytes_are_a_map_or_a_clear_refusal(data: bytes) -> None:
 
 
 @pytest.mark.parametrize(
-    "dtype", ["|O", "|V8", "<c16", "<U4", "|S3", "<M8[s]", "nonsense", None, 5]
+    "dtype", ["|O", "|V8", "<c16", "<U4", "|S3", "<M8[s]", "nonsense", ",f8", None, 5]
 )
 def test_objects_and_other_types_are_never_decoded(dtype: object) -> None:
     data = msgpack.packb(
