@@ -17,7 +17,7 @@ GROUPS: Mapping[str, frozenset[str]] = {
         "environment": "CLIENT_TOKEN module_environment prepare_environment state_directory",
         "estop": "EmergencyStopLatch",
         "loading": "load_attribute load_options load_options_model load_target",
-        "log_files": "begin_logging escaped opener printable",
+        "log_files": "begin_logging opener",
         "messages": "intrinsics_from_camera_info joints_from_message to_image",
         "qos": "requested_qos",
         "reading": "default_text read_state_directory robot_folder",

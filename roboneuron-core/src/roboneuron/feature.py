@@ -17,7 +17,7 @@ GROUPS: Mapping[str, frozenset[str]] = {
         "estop": "EmergencyStopLatch",
         "joint_space": "JointLimit",
         "loading": "load_options_model",
-        "log_files": "PlainFormatter opener printable",
+        "log_files": "PlainFormatter opener",
         "messages": "joints_from_message to_joint_trajectory",
         "models": "LimitsConfig Name Namespace Seconds",
         "reading": "parse_tables robot_folder",

@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any, Protocol, Self, TypeVar, cast
 
 from roboneuron.errors import ForeignDataError, shortened
+from roboneuron.log_files import printable as printable
 
 MOST_BYTES = 1 << 20
 """Default size of a document [bytes]."""

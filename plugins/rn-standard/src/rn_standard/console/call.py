@@ -154,6 +154,6 @@ def _save_images(answer: types.CallToolResult, folder: Path, tool: str) -> None:
 
 def _shown(text: str) -> str:
     """A server's words for the terminal."""
-    from roboneuron.command import log_files
+    from roboneuron import foreign
 
-    return log_files.printable(text, 2000)
+    return foreign.printable(text, 2000)

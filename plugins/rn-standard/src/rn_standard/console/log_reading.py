@@ -13,9 +13,9 @@ from rich.text import Text
 
 from rn_standard.console.interrupt import lasting_interrupt
 from rn_standard.console.log_runs import LogRun, log_runs
-from roboneuron import ConfigurationError
-from roboneuron.command import log_files
+from roboneuron import ConfigurationError, foreign
 
+_MOST_LINE = 10_000
 _STAMP = re.compile(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d{3} ([A-Z]+) ")
 """Beginning of an entry, see `roboneuron.log_files.FORMAT`; other lines belong to the previous
 entry.
@@ -151,5 +151,6 @@ class LogView:
                 (f"{module:<{width}} ", _COLOURS.get(module, "")) if self._module is None else ""
             )
             self._console.print(
-                Text.assemble(prefix, (log_files.escaped(line), self._style)), soft_wrap=True
+                Text.assemble(prefix, (foreign.printable(line, _MOST_LINE), self._style)),
+                soft_wrap=True,
             )

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from roboneuron import ForeignDataError, foreign
-from roboneuron.command import FAULTS, Health, Report, log_files
+from roboneuron.command import FAULTS, Health, Report
 
 
 class ModuleError(BaseModel):
@@ -51,7 +51,7 @@ class ReportedModule(BaseModel):
     def from_report(cls, module: str, pid: int, health: Health, report: Report) -> ReportedModule:
         """Create it from a module's report on /diagnostics."""
         # any node can publish a report, and a module's error may quote an agent or a server
-        printable = log_files.printable
+        printable = foreign.printable
         failure = ModuleError(
             code=printable(report.error_code),
             message=printable(report.error),
@@ -117,7 +117,7 @@ class ServerStatus(BaseModel):
     @field_validator("emergency_stop_cause")
     @classmethod
     def _shown(cls, cause: str) -> str:
-        return log_files.printable(cause, 500)
+        return foreign.printable(cause, 500)
 
 
 class SimulatedObject(BaseModel):

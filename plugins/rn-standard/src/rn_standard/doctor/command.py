@@ -31,7 +31,8 @@ class Doctor:
 
         from rn_standard.doctor.checks import run_checks
         from rn_standard.doctor.finding import Finding, Severity
-        from roboneuron.command import load_config, log_files
+        from roboneuron import foreign
+        from roboneuron.command import load_config
 
         config = load_config(arguments.config)
         has_colour = sys.stdout.isatty() and "NO_COLOR" not in os.environ
@@ -43,10 +44,10 @@ class Doctor:
 
         def show(finding: Finding) -> None:
             mark, colour = marks[finding.verdict]
-            shown = log_files.printable(finding.text, _MOST_TEXT)
+            shown = foreign.printable(finding.text, _MOST_TEXT)
             print(f"\x1b[{colour}m{mark}\x1b[0m" if has_colour else mark, shown, flush=True)
             if finding.hint:
-                print(f"    {log_files.printable(finding.hint, _MOST_TEXT)}", flush=True)
+                print(f"    {foreign.printable(finding.hint, _MOST_TEXT)}", flush=True)
 
         found = []
         for check, finding in run_checks(config):

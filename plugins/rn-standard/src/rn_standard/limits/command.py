@@ -35,8 +35,8 @@ class Limits:
     def run(self, arguments: Namespace) -> int:
         """Run `roboneuron limits`; exit status 1 if the person did not agree."""
         from rn_standard.tools_arm.tightening import FILE_NAME, TighteningFile
-        from roboneuron import ConfigurationError
-        from roboneuron.command import environment, log_files, reading
+        from roboneuron import ConfigurationError, foreign
+        from roboneuron.command import environment, reading
 
         configured = reading.read_state_directory(arguments.config) if arguments.config else None
         directory = environment.state_directory(
@@ -62,7 +62,7 @@ class Limits:
                 if record is None or record.tightening.is_empty:
                     continue
                 tightened = json.dumps(record.tightening.model_dump(exclude_defaults=True))
-                print(f"{path.parent}: {tightened}, by {log_files.printable(record.who)}")
+                print(f"{path.parent}: {tightened}, by {foreign.printable(record.who)}")
             if arguments.loosen:
                 status |= _loosen(file)
         if not files:

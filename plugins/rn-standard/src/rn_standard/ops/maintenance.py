@@ -30,7 +30,7 @@ from roboneuron import (
     Tool,
     foreign,
 )
-from roboneuron.feature import AuditLog, AuditRecord, Periodic, Role, log_files
+from roboneuron.feature import AuditLog, AuditRecord, Periodic, Role
 
 log = logging.getLogger(__name__)
 NAME = "maintenance"
@@ -54,8 +54,8 @@ class OutOfService:
     def __str__(self) -> str:
         """A sentence for refusals and for the stop."""
         at = time.strftime("%Y-%m-%d %H:%M", time.localtime(self.since_s))
-        who, reason = log_files.printable(self.who, 100), self.reason or "maintenance"
-        return f"{who} took the robot out of service at {at}: {log_files.printable(reason)}"
+        who, reason = foreign.printable(self.who, 100), self.reason or "maintenance"
+        return f"{who} took the robot out of service at {at}: {foreign.printable(reason)}"
 
 
 class MaintenanceFile:

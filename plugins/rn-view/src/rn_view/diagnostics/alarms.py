@@ -19,7 +19,7 @@ from roboneuron import (
     InvalidInputError,
     foreign,
 )
-from roboneuron.feature import AuditLog, AuditRecord, log_files
+from roboneuron.feature import AuditLog, AuditRecord
 
 log = logging.getLogger(__name__)
 FILE_NAME = "alarms.json"
@@ -105,7 +105,7 @@ class AlarmBook:
     ) -> Alarm:
         """Raise an alarm. If an open one has the same source and kind, count it there instead."""
         at_s = self._clock() if at_s is None else at_s
-        cause = log_files.printable(cause, _MOST_TEXT)
+        cause = foreign.printable(cause, _MOST_TEXT)
         with self._lock:
             self._is_changed = True
             same = self._open_one(source, what)

@@ -16,7 +16,6 @@ from typing import Any, Protocol
 from mcp.server.context import CallNext, HandlerResult, ServerRequestContext
 
 from roboneuron import ForeignDataError, foreign
-from roboneuron.feature import log_files
 
 _KEPT = 300
 _MOST_TEXT = 300
@@ -80,7 +79,7 @@ class EventList:
         """Add an event that happened now, or at `at_s`. It replaces `instead_of`, if that is still
         listed.
         """
-        text = log_files.printable(text, _MOST_TEXT)
+        text = foreign.printable(text, _MOST_TEXT)
         at_s = self._clock() if at_s is None else at_s
         event = ShownEvent(at_s=at_s, what=what, text=text, is_bad=is_bad)
         with self._lock:

@@ -10,8 +10,11 @@ from collections.abc import Mapping, Sequence
 from rn_view.diagnostics.event_list import ShownEvent
 from rn_view.recordings.playback import Mark, Playback
 from rn_view.sources.source import ModuleRow, PageState
-from roboneuron import RobotProfile
-from roboneuron.feature import EXPLANATIONS, FAULTS, log_files
+from roboneuron import (
+    RobotProfile,
+    foreign,
+)
+from roboneuron.feature import EXPLANATIONS, FAULTS
 
 _GOOD, _IDLE = "light-dark(#237032, #69db7c)", "light-dark(#555c63, #ced4da)"
 _BAD, _STARTING = "light-dark(#b01e1e, #ff8787)", "light-dark(#9c5200, #ffc078)"
@@ -32,7 +35,7 @@ _NEAR = 0.05
 
 def escape(text: str) -> str:
     """Text from outside as HTML: without markup, and without what reverses or hides text."""
-    return html.escape(log_files.printable(text, _MOST_TEXT))
+    return html.escape(foreign.printable(text, _MOST_TEXT))
 
 
 def stop_text(snapshot: PageState | None, label: str) -> str:
