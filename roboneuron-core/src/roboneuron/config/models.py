@@ -326,8 +326,8 @@ class Config(Section):
 
     @property
     def silence_s(self) -> float:
-        """Silence of the server after which modules stop, and of a module after which it counts as
-        lost [s]: the shorter `server_timeout_s` of robot and control.
+        """Silence of the server after which modules stop [s]: the shorter `server_timeout_s` of
+        robot and control.
         """
         timeouts_s = [self.robot.server_timeout_s]
         if self.control is not None:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import logging
 import threading
-import time
 from collections.abc import Sequence
 from contextlib import suppress
 from typing import Final
@@ -34,10 +33,6 @@ _PERMITTED_S = 5.0
 """Timeout of a module's answer to a permission, and of its report of it."""
 _SETTLED_S = 5.0
 """Timeout for withdrawals in progress; each ends within `_TOLD_S` or with its process."""
-_LATE_S = 0.3
-"""Time between two looks after which the server itself was held up: the silence of its modules
-counts from then on. They are looked at every 0.03 s.
-"""
 
 
 class MotionStarts:
@@ -70,7 +65,6 @@ class MotionStarts:
         self._seen: dict[int, int] = {}
         # process ids of the modules whose loss was counted
         self._lost: dict[ModuleKind, int] = {}
-        self._looked_s = self._late_s = 0.0
         self._was_latched = False
         self._telling: list[threading.Thread] = []
         self.stops = self.arm_stops = self.ticket = 0
@@ -84,13 +78,9 @@ class MotionStarts:
             is_latched: state of the emergency stop; None if it was not checked now.
         """
         views = self._supervisor.views()
-        now_s = time.monotonic()
         with self._lock:
-            if now_s - self._looked_s > _LATE_S:
-                self._late_s = now_s
-            self._looked_s = now_s
-            is_back = "inference" in {view.kind for view in views if self._is_back(view, now_s)}
-            reasons = [(reason, view.kind) for view in views if (reason := self._news(view, now_s))]
+            is_back = "inference" in {view.kind for view in views if self._is_back(view)}
+            reasons = [(reason, view.kind) for view in views if (reason := self._news(view))]
             is_pressed = is_latched is True and not self._was_latched
             self._was_latched = self._was_latched if is_latched is None else is_latched
         if is_pressed:
@@ -278,20 +268,20 @@ class MotionStarts:
         for thread in telling:
             thread.join(_SETTLED_S)
 
-    def _is_back(self, view: ModuleView, now_s: float) -> bool:
+    def _is_back(self, view: ModuleView) -> bool:
         """True if a lost process works again; the lock is held."""
-        if view.process is None or view.loss(now_s, self._late_s):
+        if view.process is None or view.loss():
             return False
         return self._lost.pop(view.kind, None) == view.process.pid
 
-    def _news(self, view: ModuleView, now_s: float) -> str:
+    def _news(self, view: ModuleView) -> str:
         """Stop by a module that is not counted yet, which it reports or which is its loss; the lock
         is held.
         """
         if view.process is None:
             return ""
         pid, report = view.process.pid, view.report
-        if loss := view.loss(now_s, self._late_s):
+        if loss := view.loss():
             is_new = self._lost.get(view.kind) != pid
             self._lost[view.kind] = pid
             return f"{view.kind} {loss}" if is_new else ""

@@ -113,30 +113,19 @@ class ModuleView:
             return "failing"
         return "ok" if report.ready else "waiting"
 
-    def loss(self, now_s: float, since_s: float = 0.0) -> str:
+    def loss(self) -> str:
         """Return why motion cannot rely on the module any more, as the predicate of a sentence
         about it; empty if it can, or if it is not to run.
 
-        It has ended by itself, the kernel has stopped its process (SIGSTOP, a debugger), or it has
-        not reported for `Config.silence_s`, the time after which modules give up their server. The
-        kernel's word does not depend on the load of the machine, and a report comes every 0.2 s.
-
-        Args:
-            now_s: monotonic time [s].
-            since_s: silence counts from then on: before, the caller itself was held up.
+        It has ended by itself, or the kernel has stopped its process (SIGSTOP, a debugger). Silence
+        is none: on a busy machine reports came more than two seconds late.
         """
-        process, report = self.process, self.report
+        process = self.process
         if process is None or self.phase not in ("running", "exited"):
             return ""
         if self.phase == "exited":
             return f"has ended by itself ({describe_exit(process.exit_code or 0)})"
-        if process.is_frozen():
-            return "is frozen (SIGSTOP or a debugger)"
-        if report is None or self.settings is None:
-            return ""
-        silent_s = now_s - max(report.received_s, since_s)
-        limit_s = self.settings.config.silence_s
-        return f"has not reported for {limit_s:g} s" if silent_s > limit_s else ""
+        return "is frozen (SIGSTOP or a debugger)" if process.is_frozen() else ""
 
 
 class Stopped(BaseModel):

@@ -188,9 +188,8 @@ class LiveCell:
         """
         if self._stops is None:
             return ""
-        now_s = self.now_s()
         for view in map(self._host.modules.view, self._needed):
-            if loss := view.loss(now_s):
+            if loss := view.loss():
                 return f"{view.kind} {loss}"
             if view.phase != "running":
                 return f"{view.kind} was stopped (it is {view.phase})"
