@@ -51,12 +51,12 @@ def install(folder: Path) -> dict[str, str]:
     }
 
 
-def start_server(state: Path) -> tuple[subprocess.Popen[bytes], str]:
-    """Start the server; return when it listens."""
+def start_server(state: Path, more: str = "") -> tuple[subprocess.Popen[bytes], str]:
+    """Start the server with the default configuration and `more`; return when it listens."""
     from roboneuron.config import default_text
 
     configuration = state / "roboneuron.toml"
-    configuration.write_text(f'{default_text()}\n[supervisor]\nstate_directory = "{state}"\n')
+    configuration.write_text(f'{default_text()}\n[supervisor]\nstate_directory = "{state}"\n{more}')
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]

@@ -91,12 +91,21 @@ _CUDA = "two to four minutes, 6 GB with PyTorch for CUDA"
 KILTED_PYTHON = os.environ.get("KILTED_PYTHON", PYTHON_3_12)
 """Kilted is for Python 3.12, as are its packages for Ubuntu."""
 LEROBOT_PYTHON = os.environ.get("LEROBOT_PYTHON", PYTHON_3_12)
+CLIENTS = {
+    "mcp": ("mcp==1.30.0",),
+}
+"""Packages whose MCP clients are tried, by the name of their script in tests/interop/clients."""
 ENVIRONMENTS = {
     "fr3sim": Environment(("franka-sim==1.1.7", "numpy==1.26.4"), costs="about a minute"),
     "openai": Environment(("openai>=2",)),
     "vla-eval": Environment(("vla-eval==0.8.0",)),
     # it imports typing_extensions without requiring it
     "openpi-client": Environment(("openpi-client==0.1.2", "typing_extensions")),
+    # clients of tests/interop/clients; each has its own version of the protocol's SDK
+    **{
+        f"client-{name}": Environment(packages, costs="half a minute to two minutes")
+        for name, packages in CLIENTS.items()
+    },
     "cyclone": Environment(("cyclonedds==11.*",)),
     "kilted": Environment(
         (

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import nox
 
-from lanes.environments import ROOT, prepare, python_of
+from lanes.environments import CLIENTS, ROOT, prepare, python_of
 from lanes.lane import BIN, JOBS, lane, pytest, python
 
 OPENPI = Path(os.environ.get("OPENPI", "../openpi"))
@@ -219,6 +219,15 @@ def test_parity(session: nox.Session) -> None:
 def test_conformance(session: nox.Session) -> None:
     """MCP Inspector and the public conformance suite against our server (npm)"""
     python(session, "tests/interop/check.py")
+
+
+@lane
+def test_frameworks(session: nox.Session) -> None:
+    """the MCP clients of public frameworks against our server, each in its own environment"""
+    names = session.posargs or list(CLIENTS)
+    for name in names:
+        prepare(session, f"client-{name}")
+    session.run(sys.executable, "tests/interop/frameworks.py", *names)
 
 
 @lane
