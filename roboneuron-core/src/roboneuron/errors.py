@@ -127,6 +127,8 @@ class ForeignDataError(InvalidInputError):
     The message is part of a sentence, without a full stop.
     """
 
+    code = "foreign_data"
+
 
 class StateError(RoboNeuronError):
     """The call is valid but not in this state (a second start, a stop of something not running);

@@ -58,14 +58,6 @@ def shared_state(self, call):
     return replace(state, joints=joints)
 
 
-def last_of_two_names(self, call, command):
-    """A joint that is named twice goes to the last of its positions."""
-    if len(command.position) != len(command.names):
-        return call(command)
-    merged = dict(zip(command.names, command.position.tolist(), strict=True))
-    return call(replace(command, names=tuple(merged), position=np.array(list(merged.values()))))
-
-
 def opens_on_hold(self, call):
     call()
     here = {**self._positions(), "finger": 0.04}
@@ -74,7 +66,6 @@ def opens_on_hold(self, call):
 
 MUTANTS: dict[str, Mutant] = {
     "driver_states_share_an_array": but("state-kept", read=shared_state),
-    "driver_takes_a_joint_named_twice": but("bad-command-refused", "twice", send=last_of_two_names),
     "driver_hold_opens_the_gripper": but("hold-stops", "gripper", hold=opens_on_hold),
     "driver_unnamed_joints_to_zero": but(
         "unnamed-joints-stay", "another joint", send=unnamed_to(0.0)

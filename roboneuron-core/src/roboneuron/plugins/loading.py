@@ -25,7 +25,6 @@ from roboneuron.plugins.specs import Loadable
 
 if TYPE_CHECKING:
     from pydantic import BaseModel, ValidationError
-    from pydantic_core import ErrorDetails
 
 M = TypeVar("M", bound="BaseModel")
 
@@ -209,7 +208,7 @@ def _explain(
             yield f"{key} = {shortened(problem['input'])}: {words[0].lower()}{words[1:]}."
 
 
-def _misspelt(problem: ErrorDetails) -> str:
+def _misspelt(problem: Mapping[str, Any]) -> str:
     """Describe the form of a name, with a spelling of the given one that has it if there is one."""
     pattern, given = str(problem["ctx"]["pattern"]), str(problem["input"])[:_LONGEST_NAME]
     form = _FORMS.get(pattern, f"expected the form {pattern}")

@@ -248,7 +248,6 @@ def _check_bad_command(case: RobotCase) -> None:
             "a position of NaN": replace(good, position=np.full_like(position, np.nan)),
             "an infinite position": replace(good, position=np.append(good.position[:-1], np.inf)),
             "fewer positions than names": replace(good, position=position[1:]),
-            "a joint named twice": replace(good, names=(*good.names[:-1], good.names[0])),
             "a duration of 0": replace(good, duration_s=0.0),
             "a negative duration": replace(good, duration_s=-1.0),
             "a duration of NaN": replace(good, duration_s=float("nan")),
@@ -328,8 +327,8 @@ RULES: tuple[Rule[RobotCase], ...] = (
     ),
     driver_rule(
         "bad-command-refused",
-        "A command of unknown joints, of one named twice, unequal lengths, no duration or of NaN "
-        "is refused and moves nothing.",
+        "A command of unknown joints, unequal lengths, no duration or of NaN is refused and moves "
+        "nothing.",
         "send",
         _check_bad_command,
     ),
