@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import psutil
-from hang_parts import ENDED_S, NEVER, REST_S, TOLD, Client, Hangs, alive, until, whole, words
+from hang_parts import ENDED_S, NEVER, REST_S, TOLD, Hangs, HungClient, alive, until, whole, words
 from lost_cell import KINDS, Witness
 
 SETTLED_S = 8.0
@@ -29,13 +29,13 @@ class Arm:
         self.link = RosLink("witness")
         self.link.open()
         self.witness = Witness(self.link, "fr3")
-        self.client: Client | None = None
+        self.client: HungClient | None = None
 
-    def served(self) -> Client:
+    def served(self) -> HungClient:
         if self.client is None or not alive(self.client.process.pid):
             if self.client is not None:
                 self.client.close()
-            self.client = Client(self.folder, self._environment)
+            self.client = HungClient(self.folder, self._environment)
             self.client.begin()
         return self.client
 
@@ -44,14 +44,14 @@ class Arm:
             self.client.close()
             self.client = None
 
-    def moving(self) -> Client:
+    def moving(self) -> HungClient:
         client = self.served()
         client.run_all()
         arguments = {"instruction": "pick up the red cube", "until": NEVER, "max_s": 60}
 
         def task() -> None:
             with contextlib.suppress(TimeoutError, OSError, ValueError):
-                client.call("run_task", **arguments)
+                client.ask("run_task", **arguments)
 
         threading.Thread(target=task, daemon=True).start()
         until(self.witness.moves, 60.0, "a motion")
@@ -128,15 +128,17 @@ class Arm:
             self.end()
         return {"process": process, "phase": phase, "told": told, **ends, "problems": problems}
 
-    def _server(self, phase: str) -> Client:
+    def _server(self, phase: str) -> HungClient:
         if phase == "motion":
             return self.moving()
         self.end()
-        self.client = Client(self.folder, self._environment)
+        self.client = HungClient(self.folder, self._environment)
         time.sleep(0.3)
         return self.client
 
-    def _pid(self, client: Client, process: str, phase: str) -> tuple[int, threading.Thread | None]:
+    def _pid(
+        self, client: HungClient, process: str, phase: str
+    ) -> tuple[int, threading.Thread | None]:
         if process == "recorder":
             pid = until(lambda: self._child("rn_recorder_runs"), 30.0, "the recorder")
             if phase == "motion":
@@ -145,12 +147,12 @@ class Arm:
         if phase == "motion":
             return int(client.modules()[process]["pid"]), None
         client.run_all()
-        client.call(f"stop_{process}")
+        client.ask(f"stop_{process}")
         known = self.children()
 
         def start() -> None:
             with contextlib.suppress(TimeoutError, OSError, ValueError):
-                client.call(f"start_{process}")
+                client.ask(f"start_{process}")
 
         thread = threading.Thread(target=start, daemon=True)
         thread.start()

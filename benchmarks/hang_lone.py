@@ -105,6 +105,6 @@ def lone_trial(
             child.terminate()
         psutil.wait_procs(made.children(recursive=True), 10.0)
     parent.kill()
-    parent.wait()
+    parent.wait(10.0)
     log.close()
     return {"process": process, "phase": phase, "told": told, **ends, "problems": problems}

@@ -63,7 +63,7 @@ sys.exit(child.wait())
 """
 
 
-class Client:
+class HungClient:
     """A minimal client of a server on pipes, whose parent is a process of its own."""
 
     def __init__(self, folder: Path, environment: dict[str, str]) -> None:
@@ -128,20 +128,20 @@ class Client:
         )
         self.send("notifications/initialized", {})
 
-    def call(self, tool: str, **arguments: Any) -> dict[str, Any]:
+    def ask(self, tool: str, **arguments: Any) -> dict[str, Any]:
         """The result of a tool, errors included."""
         answer = self.request("tools/call", {"name": tool, "arguments": arguments})
         return dict(answer.get("result", answer))
 
     def modules(self) -> dict[str, dict[str, Any]]:
-        told = self.call("get_status")["structuredContent"]["modules"]
+        told = self.ask("get_status")["structuredContent"]["modules"]
         return {module["module"]: module for module in told}
 
     def run_all(self) -> None:
         modules = self.modules()
         for kind in KINDS:
             if modules[kind]["phase"] != "running":
-                answer = self.call(f"start_{kind}")
+                answer = self.ask(f"start_{kind}")
                 if answer.get("isError"):
                     raise RuntimeError(f"the next start of {kind}: {answer['content']}")
 
@@ -152,7 +152,7 @@ class Client:
         with contextlib.suppress(psutil.Error):
             self.process.kill()
         self.parent.kill()
-        self.parent.wait()
+        self.parent.wait(10.0)
         self.log.close()
 
 

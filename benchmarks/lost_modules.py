@@ -178,7 +178,8 @@ def leads_lost(cell: Cell) -> set[str]:
 
 def lead_end(cell: Cell, before: set[str], lost_s: float) -> str:
     """What is told of this lead's end."""
-    while time.monotonic() < lost_s + 30.0:
+    deadline_s = lost_s + 30.0
+    while time.monotonic() < deadline_s:
         if told := leads_lost(cell) - before:
             return told.pop()
         time.sleep(0.05)

@@ -79,6 +79,7 @@ class Unjoined(Connection):
             on_executor=lambda task: task(),
             advertise=lambda *arguments: lambda message: None,
             subscribe=lambda *arguments: lambda: None,
+            create=lambda noun, name, ros_type, make: make(node),
             send_if_possible=lambda publisher, message: publisher.publish(message),
         )
 

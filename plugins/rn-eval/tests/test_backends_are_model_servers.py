@@ -137,7 +137,7 @@ def test_a_new_episode_begins_with_a_new_chunk():
             observed(images={"a": {"__image__": True, "format": "png", "data": b"x"}, "b": 1}),
             "be read",
         ),
-        ("nonsense", {}, "known are"),
+        ("nonsense", {}, "expected one of"),
     ],
 )
 def test_what_goes_wrong_is_told_and_the_client_stays(kind, payload, words):

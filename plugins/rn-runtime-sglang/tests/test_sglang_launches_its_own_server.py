@@ -24,10 +24,12 @@ from rn_runtime_sglang.standin.site import write_site
 from roboneuron.errors import ConfigurationError, MissingDependencyError, NotReadyError
 
 BROUGHT_BY_SGLANG = {
+    "anyio",  # required by httpx2
     "httpx2",  # transformers loads it if the hub's client uses it
     "numpy",
     "pillow",
     "pydantic",
+    "pydantic-core",
     "safetensors",
     "tokenizers",
     "torch",

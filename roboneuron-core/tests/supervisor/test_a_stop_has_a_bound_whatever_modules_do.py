@@ -201,13 +201,16 @@ def test_nothing_to_stop_is_no_error_for_all_and_one_for_one(world: World) -> No
 def test_closing_stops_everything_within_the_time_of_a_leaving_server(world: World) -> None:
     world.running("robot", stop_timeout_s=30.0).leaves_s = NEVER
     supervisor = world.supervisor
+    before = set(threading.enumerate())
     supervisor.heartbeat.start()
     supervisor.close()
     supervisor.close()
     assert world.clock.now_s == 101.5
     assert world.named("kill") == [("kill", 7)]
     assert world.closed == ["connection", "connection"]
-    wait_until(lambda: not [t for t in threading.enumerate() if t.name == "heartbeat"])
+    wait_until(
+        lambda: not [t for t in set(threading.enumerate()) - before if t.name == "heartbeat"]
+    )
     with pytest.raises(RuntimeError, match="shutdown"):
         supervisor._spawning.submit(print)
     with pytest.raises(StateError, match="The server is shutting down"):

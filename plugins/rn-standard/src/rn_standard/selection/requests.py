@@ -60,7 +60,7 @@ class StartChosenInference(Arguments):
     checkpoint: str | None = Field(
         default=None,
         min_length=1,
-        description="Directory of the model's files, where the backend needs one.",
+        description="Directory of the model's files.",
     )
     runtime: str | None = Field(
         default=None,
@@ -76,8 +76,7 @@ class StartChosenInference(Arguments):
     )
     instruction: InstructionText | None = Field(
         default=None,
-        description='What to do at once, such as "pick up the red cube"; set_instruction gives '
-        "one later.",
+        description='What to do at once, such as "pick up the red cube".',
     )
     cameras: dict[str, str] | None = Field(
         default=None,

@@ -88,8 +88,7 @@ class StartResult(ModuleSummary):
     took_s: float = Field(description="from the call to the proof of readiness")
     unchecked: str = Field(
         default="",
-        description="of an arm whose links may touch each other or obstacles, because their "
-        "distances are not checked: why, and what to do",
+        description="why distances between its links are not checked, and what to do",
     )
 
 
@@ -111,8 +110,7 @@ class RobotStatus(Result):
     )
     unchecked: str = Field(
         default="",
-        description="why the distances between its links, and to obstacles, are not checked, and "
-        "what to do; left out if they are",
+        description="why distances between its links are not checked, and what to do",
     )
 
 

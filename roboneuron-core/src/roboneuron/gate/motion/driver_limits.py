@@ -23,7 +23,7 @@ _NOISE = 1e-3
 measured posture.
 """
 _SETTLED_S = 0.1
-"""Time after which a joint without velocity counts as at rest."""
+"""Time after the end of its command at which a joint without velocity counts as at rest."""
 _LONGEST_GAP_S = 0.5
 """Time since the previous command in which a sender without times (JointState) meant the joints to
 move, at most.
@@ -271,7 +271,9 @@ class DriverLimiter:
                 or abs(place - measured) <= self._lost.get(name, math.inf)
             ):
                 since_s = now_s - line.sent_s
-                return place, velocity, since_s if velocity or since_s < _SETTLED_S else math.inf
+                # a command that keeps the joint still counts for its duration, as for the gate
+                is_settled = not velocity and since_s > line.duration_s + _SETTLED_S
+                return place, velocity, math.inf if is_settled else since_s
         if measured is None:
             if name not in self._arm:
                 return math.nan, 0.0, math.inf
