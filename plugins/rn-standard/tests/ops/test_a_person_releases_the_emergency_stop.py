@@ -112,7 +112,7 @@ def test_a_person_who_agrees_releases_it(
     answer = call(application, mode, person)
     assert not answer.is_error, answer.content
     assert len(person.asked) == 1
-    assert "a guard: a hand in the workspace" in person.asked[0]
+    assert 'a guard: "a hand in the workspace"' in person.asked[0]
     assert not application.loop.emergency_stop.is_latched()
     records = [json.loads(line) for line in (tmp_path / "audit.jsonl").read_text().splitlines()]
     assert records[-1]["who"].startswith("a person asked by ")

@@ -85,6 +85,7 @@ class ModuleStatus(ModuleFacts, ModuleSummary):
 class StartResult(ModuleSummary):
     """A module that is running and has passed its readiness check."""
 
+    sparse = True
     took_s: float = Field(description="from the call to the proof of readiness")
     unchecked: str = Field(
         default="",

@@ -159,7 +159,8 @@ def _start_tool(loop: ClosedLoop, kind: ModuleKind) -> Tool:
         )
         took_s = round(time.monotonic() - started_s, 3)
         unchecked = loop.unchecked_distances if entry.kind in ("robot", "control") else ""
-        return StartResult.short_of(view, took_s=took_s, unchecked=unchecked)
+        more = {"unchecked": unchecked} if unchecked else {}
+        return StartResult.short_of(view, took_s=took_s, **more)
 
     return Tool(
         name=f"start_{entry.kind}",
