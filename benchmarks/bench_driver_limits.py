@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
@@ -51,7 +52,7 @@ def main() -> None:
         goal = home + 0.1 * np.sin(0.5 * (now_s + 0.05))
         command = JointCommand(names=ARM_JOINTS, position=goal, duration_s=0.05)
         one = to_joint_trajectory(command)
-        times["conversion"].append(timed(lambda one=one: commands_from_message(one)))
+        times["conversion"].append(timed(partial(commands_from_message, one)))
 
         def pass_on(command: JointCommand = command, now_s: float = now_s) -> None:
             limits.admit([command], now_s)
@@ -61,12 +62,8 @@ def main() -> None:
         if number % 50 == 0:
             plan = [command] * 50
             many = to_joint_trajectory(*plan)
-            times["conversion of 50 points"].append(
-                timed(lambda many=many: commands_from_message(many))
-            )
-            times["limits, 50 points"].append(
-                timed(lambda plan=plan, now_s=now_s: limits.admit(plan, now_s))
-            )
+            times["conversion of 50 points"].append(timed(partial(commands_from_message, many)))
+            times["limits, 50 points"].append(timed(partial(limits.admit, plan, now_s)))
     print(f"{'':54} {'median':>9} {'p99':>9}")
     for name, values in times.items():
         row(name, values)
