@@ -140,7 +140,7 @@ class Arm:
         self, client: HungClient, process: str, phase: str
     ) -> tuple[int, threading.Thread | None]:
         if process == "recorder":
-            pid = until(lambda: self._child("rn_recorder_runs"), 30.0, "the recorder")
+            pid = until(lambda: self.child("rn_recorder_runs"), 30.0, "the recorder")
             if phase == "motion":
                 time.sleep(SETTLED_S)
             return pid, None
@@ -166,5 +166,5 @@ class Arm:
         time.sleep(0.5)
         return pid, thread
 
-    def _child(self, module: str) -> int:
+    def child(self, module: str) -> int:
         return next((p for p in self.children() if module in words(p)), 0)

@@ -12,6 +12,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import CancelledError, Future
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,9 @@ from mcp import Client, StdioServerParameters
 from plugin_site import installed
 
 from rn_robot_fr3.fci.simulator import FrankaSim
-from roboneuron.estop import ESTOP_FILE, RESET_SUFFIX
+from rn_standard.ops.maintenance import MaintenanceFile
+from roboneuron.estop import ESTOP_FILE, RESET_SUFFIX, EmergencyStopLatch
+from roboneuron.feature import AuditLog, Role
 from roboneuron.ros.environment import prepare_environment
 
 FRANKA_SIM = "franka-sim"
@@ -154,8 +157,8 @@ class Cell:
         self._client, self._portal, self.folder = client, portal, folder
         self.witness, self._link, self._sim = witness, link, sim
         self._robot = "fr3r" if sim is None else "fr3"
-        self._calls: list[threading.Thread] = []
-        self.answers: list[Any] = []
+        self._calls: list[Future[Any]] = []
+        self._frozen: set[int] = set()
 
     def ask(self, tool: str, **arguments: Any) -> Any:
         """Call a tool and return the answer, including errors."""
@@ -173,20 +176,19 @@ class Cell:
         return {module["module"]: module for module in self.do("get_status")["modules"]}
 
     def later(self, tool: str, **arguments: Any) -> None:
-        """Call without waiting; the answer is appended to `answers`."""
+        """Call without waiting."""
+        self._calls.append(self._portal.start_task_soon(self._client.call_tool, tool, arguments))
 
-        def call() -> None:
-            with contextlib.suppress(Exception):
-                self.answers.append((tool, self.ask(tool, **arguments)))
-
-        thread = threading.Thread(target=call, daemon=True)
-        self._calls.append(thread)
-        thread.start()
+    def cancel(self) -> None:
+        """Cancel the calls of `later`; the client sends `notifications/cancelled` for each."""
+        for call in self._calls:
+            call.cancel()
 
     def join(self, timeout_s: float) -> None:
-        """Wait for the running calls, up to this time for each."""
-        for thread in self._calls:
-            thread.join(timeout_s)
+        """Wait for the calls of `later`, up to this time for each."""
+        for call in self._calls:
+            with contextlib.suppress(Exception, CancelledError):
+                call.result(timeout_s)
         self._calls.clear()
 
     def until(self, fact: Callable[[], bool], within_s: float, what: str) -> None:
@@ -203,6 +205,42 @@ class Cell:
         if pid:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGKILL)
+
+    def freeze(self, kind: str) -> None:
+        """SIGSTOP to a module's process, until `resume`."""
+        pid = self.modules()[kind]["pid"]
+        if pid:
+            os.kill(pid, signal.SIGSTOP)
+            self._frozen.add(pid)
+
+    def resume(self) -> list[str]:
+        """SIGCONT to what is frozen; returns what was done."""
+        done = ["resumed"] if self._frozen else []
+        for pid in self._frozen:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGCONT)
+        self._frozen.clear()
+        return done
+
+    def begin_maintenance(self) -> None:
+        """Take the robot out of service as `roboneuron maintenance --begin` does."""
+        state, audit = self.folder / "state", AuditLog.in_directory(self.folder / "state")
+        out = MaintenanceFile(state).begin("a person", Role.ADMIN, "random sequence", audit)
+        EmergencyStopLatch.in_directory(state).latch(who=out.who, reason=str(out), audit=audit)
+
+    def end_maintenance(self) -> list[str]:
+        """Put it back in service; returns what was done."""
+        state = self.folder / "state"
+        file = MaintenanceFile(state)
+        if file.read() is None:
+            return []
+        file.end("a person", Role.ADMIN, AuditLog.in_directory(state))
+        return ["back in service"]
+
+    def turn(self) -> dict[str, float]:
+        """A long turn of joint 7 from where it is [rad]."""
+        position = self.witness.states[-1][1][6]
+        return {"fr3_joint7": 2.0 if position < 0 else -2.0}
 
     def press_topic(self) -> None:
         """Trigger the emergency stop by the topic."""
@@ -245,28 +283,52 @@ class Cell:
                     self.do(f"start_{kind}")
 
 
-STOPS = (
+_LOSSES = ("kill", "freeze", "stop")
+_EVERYTHING = (
     "estop_tool",
     "estop_topic",
     "estop_file",
     "estop_signal",
     "fault",
-    "kill_robot",
-    "kill_perception",
-    "kill_control",
-    "kill_inference",
-    "stop_perception",
-    "stop_control",
-    "stop_robot",
+    "maintenance",
+    *(f"{how}_{kind}" for how in _LOSSES for kind in ("robot", "control")),
 )
+_OF_POLICIES = (
+    *_EVERYTHING,
+    *(
+        f"{how}_{kind}"
+        for how in ("kill", "freeze", "stop")
+        for kind in ("perception", "inference")
+    ),
+)
+STOPS = {
+    "set_instruction": _OF_POLICIES,
+    "start_inference": _OF_POLICIES,
+    "run_task": (*_OF_POLICIES, "cancel"),
+    "move_joints": (*_EVERYTHING, "cancel"),
+    "publish": (*_EVERYTHING, "cancel"),
+    "lead": (*_EVERYTHING, "hand_back"),
+}
+"""What requests motion, and what has to end it."""
 SWITCHES = ("switch_inference", "switch_control", "switch_perception", "switch_inference_cold")
-STARTS = ("set_instruction", "run_task", "start_inference")
 
 
 def start(cell: Cell, how: str, instruction: str) -> None:
     """Request motion."""
     running = cell.modules()["inference"]["phase"] == "running"
-    if how == "run_task":
+    if how in ("move_joints", "publish", "lead"):
+        if running:
+            cell.do("stop_inference")
+        if how == "lead":
+            cell.do("lead_arm", source="push")
+        elif how == "move_joints":
+            cell.later("move_joints", positions=cell.turn(), duration_s=8.0)
+        else:
+            (joint, position), *_ = cell.turn().items()
+            point = {"positions": [position], "time_from_start": {"sec": 8, "nanosec": 0}}
+            message = {"joint_names": [joint], "points": [point]}
+            cell.later("publish_joint_trajectory", message=message)
+    elif how == "run_task":
         cell.later("run_task", instruction=instruction, until=NEVER, max_s=60, max_attempts=1)
     elif running and how == "set_instruction":
         cell.do("set_instruction", instruction=instruction)
@@ -290,16 +352,25 @@ def stop(cell: Cell, how: str) -> None:
         cell.cause_fault()
     elif how.startswith("kill_"):
         cell.kill(how.removeprefix("kill_"))
+    elif how.startswith("freeze_"):
+        cell.freeze(how.removeprefix("freeze_"))
+    elif how == "cancel":
+        cell.cancel()
+    elif how == "maintenance":
+        cell.begin_maintenance()
     else:
         cell.ask(how)
 
 
 def go_on(cell: Cell, draw: random.Random) -> list[str]:
     """Release, recover and restart everything that is stopped; none of these starts motion."""
-    done = []
+    done = cell.resume() + cell.end_maintenance()
     if (cell.folder / "state" / ESTOP_FILE).exists():
         if draw.random() < 0.5:
-            cell.do("reset_emergency_stop")
+            # the server reads every 0.2 s that the robot is back in service
+            cell.until(
+                lambda: not cell.ask("reset_emergency_stop").is_error, 5.0, "the stop is released"
+            )
             done.append("reset by tool")
         else:
             cell.release_by_file()
@@ -335,8 +406,8 @@ def served_cell(folder: Path, engine: str, restart: str, seed: int) -> Iterator[
             robot = SIMULATED.format(folder=folder, engine=engine, seed=seed)
         path = folder / "roboneuron.toml"
         path.write_text(CONFIG.format(folder=folder, robot=robot, restart=restart))
-        plugin = "new_start_plugin" if sim is None else "fci_plugin"
-        stack.enter_context(installed(folder, "new-start", (plugin,)))
+        plugins = ("new_start_plugin", "lost_plugin") if sim is None else ("fci_plugin",)
+        stack.enter_context(installed(folder, "new-start", plugins))
         prepare_environment(folder / "log")
         from roboneuron.ros.link import RosLink  # heavy
 

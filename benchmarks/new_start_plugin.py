@@ -11,6 +11,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from lost_plugin import roboneuron_teleoperators
+
 from rn_robot_fr3.driver import SimulatedFr3Driver
 from rn_robot_fr3.options import SimulatedFr3Options
 from rn_robot_fr3.profile import profile as fr3_profile
@@ -20,6 +22,7 @@ from roboneuron.plugins.hookspecs import hookimpl
 from roboneuron.plugins.specs import DriverSpec, PerceptionSpec, RobotSpec
 
 NAME = "fr3r"
+__all__ = ["roboneuron_teleoperators"]
 
 
 class ReflexOptions(SimulatedFr3Options):

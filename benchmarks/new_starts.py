@@ -3,11 +3,13 @@ without a new start.
 
     python benchmarks/new_starts.py --engine mujoco --sequences 50 --folder /tmp/new-starts
 
-Each sequence requests motion (set_instruction, run_task, start_inference), may switch a module
-meanwhile, stops the arm (emergency stop by tool, topic, file or signal; a fault of the robot; a
-module killed or stopped), and then performs everything that ends a stop: reset, recovery, starts
-and restarts of modules, switches. From standstill until the next request for motion, no joint of
-the simulation may move by more than 0.02 rad. Then motion is requested, and the arm must move.
+Each sequence requests motion (set_instruction, run_task, start_inference, move_joints, a published
+trajectory, a lead), may switch a module meanwhile, stops the arm (emergency stop by tool, topic,
+file or signal; a fault of the robot; maintenance; a module killed, frozen or stopped; the call
+cancelled; the lead handed back), and then performs everything that ends a stop: reset, recovery,
+back in service, starts and restarts of modules, switches. From standstill until the next request
+for motion, no joint of the simulation may move by more than 0.02 rad. Then motion is requested, and
+the arm must move.
 Failures caused by a busy machine (a restart by a time-out, a late image) are counted separately;
 they break no rule.
 
@@ -29,7 +31,6 @@ from new_start_cell import (
     BRAKE_S,
     FRANKA_SIM,
     MOVED_RAD,
-    STARTS,
     STOPS,
     SWITCHES,
     WATCH_S,
@@ -78,15 +79,16 @@ def sequence(cell: Cell, number: int, engine: str, restart: str) -> Result:
     try:
         cell.everything_runs()
         for _ in range(STOPS_A_SEQUENCE):
-            _cycle(cell, draw, result)
+            _cycle(cell, draw, result, engine)
     except RuntimeError as error:
         result.hindered = str(error)
     result.took_s = round(time.monotonic() - began_s, 1)
     return result
 
 
-def _cycle(cell: Cell, draw: random.Random, result: Result) -> None:
-    how = draw.choice(STARTS)
+def _cycle(cell: Cell, draw: random.Random, result: Result, engine: str) -> None:
+    how = draw.choice([start for start in STOPS if start != "lead" or engine != FRANKA_SIM])
+    stops = STOPS[how]
     result.steps.append(how)
     result.starts += 1
     start(cell, how, f"pick up the {draw.choice(COLOURS)} cube")
@@ -101,10 +103,12 @@ def _cycle(cell: Cell, draw: random.Random, result: Result) -> None:
         result.steps.append(f"{switch} meanwhile")
         cell.later(switch.removesuffix("_cold"), mode=mode)
         time.sleep(draw.uniform(0.0, 4.0))
-    how = draw.choice(STOPS)
+    how = draw.choice(stops)
     result.steps.append(how)
     stop(cell, how)
     time.sleep(0.5)  # an ended robot module reports no motion
+    if how == "freeze_robot":
+        result.steps += cell.resume()
     if cell.modules()["robot"]["phase"] == "running":
         cell.until(cell.witness.is_still, BRAKE_S + 5.0, f"the arm stands after {how}")
     since_s = time.monotonic()
