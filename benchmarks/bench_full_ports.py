@@ -67,7 +67,12 @@ directory = "{state}/model"
 HANDLES = 1024
 IDLE, RATE, REQUESTS = 1000, 6000, 300
 LIMIT_S = 0.5
-WORDS = {"idle": "held", "connects": "a second", "requests": "requests at once"}
+WORDS = {
+    "idle": "held",
+    "connects": "a second",
+    "requests": "requests at once",
+    "calls": "calls at once",
+}
 START_S = 120.0
 FLOOD = """
 import resource, signal, socket, sys, time
@@ -87,13 +92,19 @@ def connect():
         pass
     return made
 
-if kind == "requests":
+if kind in ("requests", "calls"):
     import os
     token = os.environ.get("BENCH_FLOOD", "")
     line = chr(13) + chr(10)
     body = '{"jsonrpc":"2.0","id":1,"method":"initialize","params":{"protocolVersion":"2025-06-18",'
     body += '"capabilities":{},"clientInfo":{"name":"viewer","version":"1"}}}'
-    mcp = ["POST /mcp HTTP/1.1", "Host: 127.0.0.1", "Authorization: Bearer " + token,
+    named = []
+    if kind == "calls":
+        named = ["MCP-Protocol-Version: 2026-07-28", "Mcp-Method: tools/call", "Mcp-Name: get_status"]
+        body = '{"jsonrpc":"2.0","id":1,"method":"tools/call","params":{"name":"get_status","arguments":{},'
+        body += '"_meta":{"io.modelcontextprotocol/protocolVersion":"2026-07-28",'
+        body += '"io.modelcontextprotocol/clientCapabilities":{}}}}'
+    mcp = ["POST /mcp HTTP/1.1", "Host: 127.0.0.1", *named, "Authorization: Bearer " + token,
            "Accept: application/json, text/event-stream", "Content-Type: application/json",
            "Connection: close", f"Content-Length: {len(body)}", "", body]
     page = ["GET / HTTP/1.1", "Host: 127.0.0.1", "Connection: close", "", ""]
@@ -289,14 +300,16 @@ def main(arguments: argparse.Namespace) -> int:
                 floods = [("idle", IDLE), ("connects", arguments.rate)]
                 if port in ("http", "view"):
                     floods.append(("requests", arguments.requests))
-                for kind, number in floods:
+                if port == "http":
+                    floods.append(("calls", arguments.requests))
+                for kind, number in [one for one in floods if one[0] in arguments.floods]:
                     seconds = str(arguments.trials * 1.5 + 5)
                     command = [
                         sys.executable,
                         "-c",
                         FLOOD,
                         kind,
-                        port if kind == "requests" else ports[port][0],
+                        port if kind in ("requests", "calls") else ports[port][0],
                         ports[port][1],
                         str(number),
                         seconds,
@@ -345,6 +358,7 @@ if __name__ == "__main__":
         default=["http", "metrics", "view", "shared-model"],
         choices=["http", "metrics", "view", "shared-model"],
     )
+    parser.add_argument("--floods", nargs="+", default=[*WORDS], choices=[*WORDS])
     parser.add_argument("--rate", type=int, default=RATE, help="connects a second")
     parser.add_argument("--requests", type=int, default=REQUESTS, help="requests at once")
     sys.exit(main(parser.parse_args()))

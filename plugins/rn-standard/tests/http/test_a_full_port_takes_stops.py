@@ -10,7 +10,7 @@ import select
 import socket
 import struct
 from collections.abc import AsyncIterator, Callable, Coroutine, Iterator
-from contextlib import ExitStack, asynccontextmanager, closing, contextmanager
+from contextlib import ExitStack, asynccontextmanager, closing, contextmanager, suppress
 from dataclasses import replace
 from typing import Any
 
@@ -18,7 +18,7 @@ import pytest
 
 from rn_standard.http import listener as listener_module
 from rn_standard.http.listener import BoundedListener, ConnectionBounds, other_bounds, stop_bounds
-from rn_standard.http.tokens import TokenTable, shows_right
+from rn_standard.http.tokens import TokenTable, shown_holder
 from roboneuron.server.tool import Holder
 
 pytestmark = pytest.mark.timeout(60)
@@ -26,6 +26,11 @@ WIDE = ConnectionBounds(
     silent=100, unproven=100, unproven_of_one=100, new=1000, handle=10_000, handle_known=10_000
 )
 KNOWN = b"known"
+
+
+def holder_of(first: bytes) -> str:
+    """The letter after `KNOWN`, or no letter; empty for others."""
+    return first[: len(KNOWN) + 1].decode() if first.startswith(KNOWN) else ""
 
 
 class Echo(asyncio.Protocol):
@@ -49,7 +54,7 @@ async def listening(
     bound = socket.socket()
     bound.bind(("127.0.0.1", 0))
     Echo.made = 0
-    listener = BoundedListener(bound, bounds, lambda first: first.startswith(KNOWN))
+    listener = BoundedListener(bound, bounds, holder_of)
     server = await asyncio.get_running_loop().create_server(Echo, sock=listener)
     address = listener.getsockname()
     with ExitStack() as stack:
@@ -182,7 +187,7 @@ def test_one_with_a_right_is_served_before_the_queue_of_others() -> None:
     async def test() -> None:
         bound = socket.create_server(("127.0.0.1", 0), backlog=512)
         with ExitStack() as stack:
-            listener = BoundedListener(bound, WIDE, lambda first: first.startswith(KNOWN))
+            listener = BoundedListener(bound, WIDE, holder_of)
             stack.enter_context(closing(listener))
             for said in [b"x"] * 20 + [KNOWN]:
                 made = socket.create_connection(listener.getsockname(), timeout=10)
@@ -191,6 +196,76 @@ def test_one_with_a_right_is_served_before_the_queue_of_others() -> None:
             connection, _ = listener.accept()
             stack.enter_context(closing(connection))
             assert connection.recv(100) == KNOWN
+
+    run(test)
+
+
+@contextmanager
+def waiting(bounds: ConnectionBounds, crowd: list[bytes]) -> Iterator[BoundedListener]:
+    """A listener and connections that have sent these bytes, each kept open."""
+    bound = socket.create_server(("127.0.0.1", 0), backlog=512)
+    with ExitStack() as stack:
+        listener = BoundedListener(bound, bounds, holder_of)
+        stack.enter_context(closing(listener))
+        for said in crowd:
+            made = socket.create_connection(listener.getsockname(), timeout=10)
+            stack.enter_context(closing(made))
+            made.sendall(said)
+        yield listener
+
+
+def passed(listener: BoundedListener) -> list[bytes]:
+    """What was sent on the connections that one iteration of the event loop passes on."""
+    found: list[bytes] = []
+    if not select.select([listener], [], [], 0)[0]:
+        return found
+    with suppress(BlockingIOError):
+        while True:
+            connection, _ = listener.accept()
+            with closing(connection):
+                found.append(connection.recv(100))
+    return found
+
+
+@pytest.mark.parametrize(
+    ("crowd", "first"),
+    [
+        ([b"knowna"] * 30 + [b"knownb"], {b"knowna", b"knownb"}),
+        ([b"knowna"] * 30 + [b"x"], {b"knowna", b"x"}),
+        ([b"x"] * 30 + [b"knownb"], {b"x", b"knownb"}),
+    ],
+    ids=["holders", "known before unknown", "unknown before known"],
+)
+def test_an_iteration_passes_on_a_few_of_each_and_the_rest_later(
+    crowd: list[bytes], first: set[bytes]
+) -> None:
+    async def test() -> None:
+        with waiting(WIDE, crowd) as listener:
+            turn = passed(listener)
+            assert set(turn) == first
+            assert len(turn) < 6
+            rest = list(turn)
+            while more := passed(listener):
+                assert len(more) < 6
+                rest += more
+            assert sorted(rest) == sorted(crowd)
+
+    run(test)
+
+
+def test_whoever_has_most_waiting_connections_gives_handles_to_others() -> None:
+    async def test() -> None:
+        next_one = os.dup(0)
+        os.close(next_one)
+        crowd = [b"knowna"] * 30 + [b"knownb"] * 3
+        # each connection of this test takes a handle here, and one of the listener
+        few = replace(WIDE, handle=next_one + 50, handle_known=next_one + 50)
+        with waiting(few, crowd) as listener:
+            found: list[bytes] = []
+            while more := passed(listener):
+                found += more
+            assert found.count(b"knownb") == 3
+            assert 0 < found.count(b"knowna") < 30
 
     run(test)
 
@@ -264,13 +339,15 @@ def test_the_port_of_stops_may_use_handles_that_no_other_port_may() -> None:
         assert stops.silent + stops.unproven < stops.handle
 
 
-def test_a_right_is_seen_in_the_first_bytes() -> None:
+def test_a_holder_is_seen_in_the_first_bytes() -> None:
     tokens = TokenTable([("0123456789abcdef", Holder(who="v", role="viewer"))])
     head = (
         b"POST /mcp HTTP/1.1\r\nHost: 127.0.0.1\r\naUTHORIZATION: bearer %s\r\nAccept: */*\r\n\r\n"
     )
-    assert shows_right(tokens, head % b"0123456789abcdef")
-    assert not shows_right(tokens, head % b"0123456789abcdeX")
-    assert not shows_right(tokens, b"POST /mcp HTTP/1.1\r\n\r\nemergency_stop")
-    assert shows_right(TokenTable([]), b"POST /mcp HTTP/1.1\r\n\r\nemergency_stop")
-    assert not shows_right(TokenTable([]), b"POST /mcp HTTP/1.1\r\n\r\nget_status")
+    assert shown_holder(tokens, head % b"0123456789abcdef") == "v"
+    assert not shown_holder(tokens, head % b"0123456789abcdeX")
+    assert not shown_holder(tokens, b"POST /mcp HTTP/1.1\r\n\r\nemergency_stop")
+    stop = shown_holder(tokens, head % b"0123456789abcdef" + b"emergency_stop")
+    assert stop not in ("", "v")
+    assert shown_holder(TokenTable([]), b"POST /mcp HTTP/1.1\r\n\r\nemergency_stop")
+    assert not shown_holder(TokenTable([]), b"POST /mcp HTTP/1.1\r\n\r\nget_status")

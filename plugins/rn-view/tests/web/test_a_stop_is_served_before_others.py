@@ -19,7 +19,7 @@ from rn_view.page.stop_bar import (
     HEADER_VALUE,
     STATE_PATH,
     STOP_PATH,
-    is_stop_request,
+    stop_holder,
 )
 from rn_view.web.page_requests import OpenPages
 from rn_view.web.request_handler import RequestHandler
@@ -39,7 +39,7 @@ from rn_view.web.request_handler import RequestHandler
     ],
 )
 def test_a_stop_is_known_by_its_first_line(first: str, is_stop: bool) -> None:
-    assert is_stop_request(first.encode()) == is_stop
+    assert bool(stop_holder(first.encode())) == is_stop
 
 
 def test_a_stop_is_served_while_requests_of_pages_hold_every_shared_thread() -> None:

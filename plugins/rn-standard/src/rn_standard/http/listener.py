@@ -6,6 +6,9 @@ traceback for each one without a handle. This socket passes a connection on when
 have arrived. Silent connections cost little, the oldest is dropped for the newest, and some handles
 of the process are never used for them.
 
+The connections that wait are passed on a few at a time, one of each holder after the other: whoever
+opens many waits behind its own.
+
 It works with every server that accepts a socket: asyncio, uvicorn, websockets. Their own bounds
 (`limit_concurrency`, `open_timeout`) apply after a connection was accepted, and would refuse an
 emergency stop like everything else.
@@ -29,6 +32,8 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 
+from rn_standard.http.fairness import FairQueue
+
 log = logging.getLogger(__name__)
 SocketAddress = tuple[str, int] | tuple[str, int, int, int]
 """Of IPv4, and of IPv6 with flow and scope."""
@@ -39,6 +44,10 @@ _AT_ONCE, _TAKE_S = 32, 0.004
 """New connections per iteration of the event loop: at least so many, and as many as come within
 this time [s]. Calls are served between two iterations; a queue that is emptied more slowly than it
 fills lets the kernel drop a client's first packet, which is repeated after a second.
+"""
+_PASSED = 2
+"""Connections of known, and as many of unknown clients, that are passed on per iteration: the
+server behind takes about a millisecond of each iteration for each of them.
 """
 _LIBC = ctypes.PyDLL(None, use_errno=True)
 """For calls that do not wait, without releasing the interpreter's lock: to get it back from a busy
@@ -53,6 +62,7 @@ _NO_HANDLES = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
 _MOST_HANDLES = 65536
 """Assumed limit of handles if it is higher or absent."""
 Peer = tuple[str, int]
+_Waiting = tuple[socket.socket, SocketAddress]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -129,28 +139,31 @@ class BoundedListener(socket.socket):
     Args:
         bound: a bound TCP socket, whose ownership is transferred.
         bounds: limits on connections.
-        is_known: returns True if the first bytes of a connection show an authorisation, such as a
-            token. Known connections are not counted.
+        holder_of: returns who is shown by the first bytes of a connection, such as the holder of a
+            token; empty if unknown. Known connections are not counted.
     """
 
     def __init__(
         self,
         bound: socket.socket,
         bounds: ConnectionBounds,
-        is_known: Callable[[bytes], bool] = lambda first: False,
+        holder_of: Callable[[bytes], str] = lambda first: "",
     ) -> None:
         super().__init__(fileno=bound.detach())
         self.setblocking(False)
         self._bounds = bounds
-        self._is_known = is_known
+        self._holder_of = holder_of
         self._own = super().fileno()
         self._poll = select.epoll()
         self._poll.register(self._own, select.EPOLLIN)
         self._spare = _open_spare()
         self._silent: dict[int, tuple[socket.socket, SocketAddress, float]] = {}
         self._unproven: dict[Peer, tuple[socket.socket, str]] = {}
-        self._ready: deque[tuple[socket.socket, SocketAddress]] = deque()
-        self._ready_known: deque[tuple[socket.socket, SocketAddress]] = deque()
+        self._known: FairQueue[_Waiting] = FairQueue()
+        self._unknown: FairQueue[_Waiting] = FairQueue()
+        self._passed: deque[_Waiting] = deque()
+        self._again = os.eventfd(1, os.EFD_CLOEXEC | os.EFD_NONBLOCK)
+        self._is_again = False
         self._first = ctypes.create_string_buffer(1)
         self._has_looked = False
         self._new: Counter[str] = Counter()
@@ -159,21 +172,21 @@ class BoundedListener(socket.socket):
         self._told_s = -_LOG_S
 
     def fileno(self) -> int:
-        """Descriptor that is readable when `accept` has work: from the listening socket, or a
-        silent connection.
+        """Descriptor that is readable when `accept` has work: from the listening socket, a silent
+        connection, or connections that wait to be passed on.
         """
         return -1 if self._poll.closed else self._poll.fileno()
 
     def accept(self) -> tuple[socket.socket, SocketAddress]:
         """Return a connection whose first bytes have arrived, known ones first. Raises
-        BlockingIOError if none is left in this iteration.
+        BlockingIOError if this iteration has passed on its share.
         """
-        if not self._ready and not self._ready_known and not self._has_looked:
+        if not self._has_looked:
             self._has_looked = True
             self._look()
-        for ready in (self._ready_known, self._ready):
-            if ready:
-                return ready.popleft()
+            self._pass_on()
+        if self._passed:
+            return self._passed.popleft()
         self._has_looked = False
         raise BlockingIOError
 
@@ -185,18 +198,33 @@ class BoundedListener(socket.socket):
             self._timer.cancel()
         for connection, _, _ in self._silent.values():
             connection.close()
-        for connection, _ in (*self._ready_known, *self._ready):
+        for connection, _ in (*self._known, *self._unknown, *self._passed):
             connection.close()
-        self._silent.clear()
-        self._ready_known.clear()
-        self._ready.clear()
+        for held in (self._silent, self._known, self._unknown, self._passed):
+            held.clear()
         self._poll.close()
+        os.close(self._again)
         self._close_spare()
         super().close()
 
     def prove(self, peer: Peer) -> None:
         """Mark the connection of that peer as authorised: it is no longer dropped for others."""
         self._unproven.pop(peer, None)
+
+    def _pass_on(self) -> None:
+        for _ in range(_PASSED):
+            if (found := self._known.take()) is not None:
+                self._count_unproven(found[0], *found[1])
+                self._passed.append(found[1])
+        for _ in range(_PASSED):
+            if (found := self._unknown.take()) is not None:
+                self._passed.append(found[1])
+        if self._is_again != (is_again := bool(self._known or self._unknown)):
+            self._is_again = is_again
+            if is_again:
+                self._poll.register(self._again, select.EPOLLIN)
+            else:
+                self._poll.unregister(self._again)
 
     def _look(self) -> None:
         for handle, _ in self._poll.poll(0, 2 * _AT_ONCE):
@@ -242,10 +270,11 @@ class BoundedListener(socket.socket):
             return
         except OSError:
             first = b""
-        is_known = bool(first) and self._is_known(first)
-        if first and self._admits(connection, address, is_known):
-            ready = self._ready_known if is_known else self._ready
-            ready.append((connection, address))
+        holder = self._holder_of(first) if first else ""
+        if first and holder and self._has_room(connection, holder):
+            self._known.put(holder, (connection, address))
+        elif first and not holder and self._admits(connection, address):
+            self._unknown.put(network_of(address[0]), (connection, address))
         else:
             connection.close()
 
@@ -260,12 +289,20 @@ class BoundedListener(socket.socket):
         if self._timer is None:
             self._timer = asyncio.get_running_loop().call_later(SILENT_S, self._expire)
 
-    def _admits(self, connection: socket.socket, address: SocketAddress, is_known: bool) -> bool:
+    def _has_room(self, connection: socket.socket, holder: str) -> bool:
+        """True if there are handles for a known connection, for which the newest one of whoever has
+        the most is dropped.
+        """
+        handle = connection.fileno()
+        if handle < self._bounds.handle or self._drop_silent():
+            return True
+        if (dropped := self._known.take_longest(besides=holder)) is not None:
+            dropped[0].close()
+            return True
+        return handle < self._bounds.handle_known
+
+    def _admits(self, connection: socket.socket, address: SocketAddress) -> bool:
         bounds, source = self._bounds, network_of(address[0])
-        if is_known:
-            if connection.fileno() >= bounds.handle:
-                self._drop_silent()
-            return connection.fileno() < bounds.handle_known
         now_s = time.monotonic()
         if now_s - self._window_s >= _WINDOW_S:
             self._window_s = now_s
@@ -275,9 +312,14 @@ class BoundedListener(socket.socket):
             return False
         if connection.fileno() >= bounds.handle and not self._drop_silent():
             return False
+        self._count_unproven(source, connection, address)
+        return True
+
+    def _count_unproven(
+        self, source: str, connection: socket.socket, address: SocketAddress
+    ) -> None:
         self._drop_unproven(source)
         self._unproven[address[:2]] = connection, source
-        return True
 
     def _drop_silent(self) -> bool:
         """Close the oldest silent connection; return True if there was one."""
@@ -289,7 +331,7 @@ class BoundedListener(socket.socket):
 
     def _drop_unproven(self, source: str) -> None:
         """Shut down the oldest unproven connection if there is one too many: of `source`, or of the
-        busiest address.
+        busiest one.
 
         Its server notices the end of the stream, and closes it.
         """

@@ -28,7 +28,7 @@ from rn_standard.http.sessions import (
     Sessions,
     note_handled,
 )
-from rn_standard.http.tokens import TokenTable, shows_right
+from rn_standard.http.tokens import TokenTable, shown_holder
 from roboneuron import __version__
 from roboneuron.feature import Events, Holder
 
@@ -90,7 +90,7 @@ def listen(options: HttpOptions, tokens: TokenTable) -> BoundedListener:
     """
     listener = bind("http", options.host, options.port, tokens)
     _keep_alive(listener)
-    return BoundedListener(listener, stop_bounds(), partial(shows_right, tokens))
+    return BoundedListener(listener, stop_bounds(), partial(shown_holder, tokens))
 
 
 def _keep_alive(listener: socket.socket) -> None:

@@ -91,14 +91,16 @@ def _mark(name: str) -> tuple[int, ...] | None:
     return seen.st_mtime_ns, seen.st_ctime_ns, seen.st_ino, seen.st_size, seen.st_mode
 
 
-def shows_right(tokens: TokenTable, first: bytes) -> bool:
-    """True if the first bytes of a connection contain a valid token, or without tokens the name of
-    the stop tool.
+def shown_holder(tokens: TokenTable, first: bytes) -> str:
+    """Holder of the valid token in the first bytes of a connection; empty without one. Bytes that
+    name the stop tool have a holder of their own, also where there are no tokens.
     """
+    stop = " (stop)" if _STOP in first else ""
     if not tokens:
-        return _STOP in first
+        return stop
     found = _BEARER.search(first)
-    return found is not None and tokens.find(found.group(1).decode("ascii")) is not None
+    holder = None if found is None else tokens.find(found.group(1).decode("ascii"))
+    return "" if holder is None else holder.who + stop
 
 
 def read_tokens(sections: Sequence[TokenConfig], environment: Mapping[str, str]) -> TokenTable:

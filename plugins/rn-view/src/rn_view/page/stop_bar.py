@@ -32,12 +32,12 @@ panels. The width must be that of the whole page; viser reports only that of the
 """
 
 
-def is_stop_request(first: bytes) -> bool:
-    """True if the first bytes of a connection ask for the emergency stop, which everybody may press
-    and which therefore is served before other requests.
+def stop_holder(first: bytes) -> str:
+    """Not empty if the first bytes of a connection ask for the emergency stop, which everybody may
+    press and which therefore is served before other requests.
     """
     path = first.removeprefix(b"GET ").split(b" ", 1)[0].split(b"?", 1)[0]
-    return first.startswith(b"GET ") and path == STOP_PATH.encode()
+    return "stop" if first.startswith(b"GET ") and path == STOP_PATH.encode() else ""
 
 
 def base_page() -> str:

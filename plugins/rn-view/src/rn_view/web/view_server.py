@@ -119,9 +119,7 @@ class ViewServer:
             self._open_pages,
         )
         bound = bind("view", self._options.host, self._options.port, self._admission.tokens)
-        self._listener = BoundedListener(
-            bound, other_bounds(_CONNECTIONS), stop_bar.is_stop_request
-        )
+        self._listener = BoundedListener(bound, other_bounds(_CONNECTIONS), stop_bar.stop_holder)
         with (
             served_by(self._listener, web, self._lead_sockets),
             contextlib.redirect_stdout(io.StringIO()),
