@@ -212,13 +212,13 @@ class BoundedListener(socket.socket):
         self._unproven.pop(peer, None)
 
     def _pass_on(self) -> None:
-        for _ in range(_PASSED):
-            if (found := self._known.take()) is not None:
-                self._count_unproven(found[0], *found[1])
-                self._passed.append(found[1])
-        for _ in range(_PASSED):
-            if (found := self._unknown.take()) is not None:
-                self._passed.append(found[1])
+        for queue in (self._known, self._unknown):
+            for _ in range(_PASSED):
+                if (found := queue.take()) is not None:
+                    source, (connection, address) = found
+                    self._drop_unproven(source)
+                    self._unproven[address[:2]] = connection, source
+                    self._passed.append((connection, address))
         if self._is_again != (is_again := bool(self._known or self._unknown)):
             self._is_again = is_again
             if is_again:
@@ -273,7 +273,7 @@ class BoundedListener(socket.socket):
         holder = self._holder_of(first) if first else ""
         if first and holder and self._has_room(connection, holder):
             self._known.put(holder, (connection, address))
-        elif first and not holder and self._admits(connection, address):
+        elif first and not holder and self._admits(connection, network_of(address[0])):
             self._unknown.put(network_of(address[0]), (connection, address))
         else:
             connection.close()
@@ -301,8 +301,8 @@ class BoundedListener(socket.socket):
             return True
         return handle < self._bounds.handle_known
 
-    def _admits(self, connection: socket.socket, address: SocketAddress) -> bool:
-        bounds, source = self._bounds, network_of(address[0])
+    def _admits(self, connection: socket.socket, source: str) -> bool:
+        bounds = self._bounds
         now_s = time.monotonic()
         if now_s - self._window_s >= _WINDOW_S:
             self._window_s = now_s
@@ -310,16 +310,7 @@ class BoundedListener(socket.socket):
         self._new[source] += 1
         if self._new[source] > bounds.new or self._new.total() > 2 * bounds.new:
             return False
-        if connection.fileno() >= bounds.handle and not self._drop_silent():
-            return False
-        self._count_unproven(source, connection, address)
-        return True
-
-    def _count_unproven(
-        self, source: str, connection: socket.socket, address: SocketAddress
-    ) -> None:
-        self._drop_unproven(source)
-        self._unproven[address[:2]] = connection, source
+        return connection.fileno() < bounds.handle or self._drop_silent()
 
     def _drop_silent(self) -> bool:
         """Close the oldest silent connection; return True if there was one."""
