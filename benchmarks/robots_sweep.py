@@ -2,8 +2,8 @@
 
 The URDFs of the package example-robot-data, each chain from its root to a link that carries none.
 The judge has its own kinematics (rn_testing.robot_judge) and its own shapes: primitives, and hulls
-of all vertices of a mesh as trimesh reads it, compared by coal. It shares nothing with the
-controller but coal.
+of all vertices of a mesh as trimesh reads it, compared by coal; the triangles of small meshes
+decide where hulls are too close. It shares nothing with the controller but coal.
 
     python benchmarks/robots_sweep.py [--postures 20] [--only ur5 panda] [--folder FOLDER]
 
@@ -23,17 +23,14 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from importlib.metadata import distribution
 from pathlib import Path
-from typing import cast
 
-import coal  # type: ignore[import-untyped]
 import numpy as np
-import trimesh
+from judged_shapes import LEAST_M, JudgedShapes
 
 from rn_controller_urdf.controller import UrdfController
 from rn_controller_urdf.options import UrdfControllerOptions
-from rn_testing.robot_judge import JudgedRobot, rotation
+from rn_testing.robot_judge import JudgedRobot
 from roboneuron import (
-    F64,
     Action,
     CollisionProfile,
     JointCommand,
@@ -41,10 +38,8 @@ from roboneuron import (
     RoboNeuronError,
     RobotProfile,
     matrix_from_quaternion,
-    mesh_file,
 )
 
-LEAST_M = 0.01
 SAME_M = 1e-6
 TOLERANCE_M = 0.005
 """A hull of many vertices is thickened by what it lacks when it is bounded: no more than this."""
@@ -76,93 +71,6 @@ class Found:
     check_us: float = 0.0
     load_s: float = 0.0
     refused: str = ""
-
-
-class JudgedShapes:
-    """Distances between the collision shapes of links."""
-
-    def __init__(self, urdf: str, folder: str, rest: Mapping[str, float]) -> None:
-        self.robot, self._rest = JudgedRobot(urdf), rest
-        self._left_out: dict[tuple[str, str], np.ndarray] = {}
-        self._shapes: dict[str, list[tuple[F64, object]]] = defaultdict(list)
-        for link in ElementTree.fromstring(urdf).findall("link"):
-            for shape in link.findall("collision"):
-                origin, geometry = shape.find("origin"), shape.find("geometry")
-                if geometry is None or len(geometry) == 0:
-                    continue
-                made = _shape(geometry[0], folder)
-                self._shapes[link.get("name", "")].append((_pose(origin), made))
-
-    def distance(self, one: str, other: str, positions: Mapping[str, float], root: str) -> float:
-        """Distance of two links [m], without shapes that are built together; negative where they
-        overlap.
-        """
-        found = self._each(one, other, positions, root)
-        if (one, other) not in self._left_out:
-            at_rest = self._each(one, other, self._rest, root)
-            self._left_out[one, other] = at_rest <= 0.0
-        is_left_out = self._left_out[one, other]
-        return math.inf if is_left_out.all() else float(found[~is_left_out].min())
-
-    def leave_out_together(
-        self, one: str, other: str, postures: list[dict[str, float]], root: str
-    ) -> None:
-        """Compare no longer what stays within 25 mm, and no deeper than 50 mm, in all postures."""
-        found = np.array([self._each(one, other, posture, root) for posture in postures])
-        self._left_out[one, other] |= (found.max(axis=0) <= 0.025) & (found.min(axis=0) >= -0.05)
-
-    def _each(self, one: str, other: str, positions: Mapping[str, float], root: str) -> F64:
-        poses = {name: self.robot.pose(name, positions, root) for name in (one, other)}
-        return np.array(
-            [
-                _distance(first, poses[one] @ at, second, poses[other] @ there)
-                for at, first in self._shapes[one]
-                for there, second in self._shapes[other]
-            ]
-        )
-
-
-def _shape(element: ElementTree.Element, folder: str) -> object:
-    if element.tag == "box":
-        return coal.Box(*_numbers(element.get("size", "")))
-    if element.tag == "sphere":
-        return coal.Sphere(float(element.get("radius", "0")))
-    if element.tag in ("cylinder", "capsule"):
-        size = float(element.get("radius", "0")), float(element.get("length", "0"))
-        return coal.Cylinder(*size) if element.tag == "cylinder" else coal.Capsule(*size)
-    path = mesh_file(element.get("filename", ""), folder)
-    loaded = cast("trimesh.Trimesh", trimesh.load(path, force="mesh"))
-    points = coal.StdVec_Vec3s()
-    for point in np.array(loaded.vertices) * _numbers(element.get("scale", "1 1 1")):
-        points.append(point)
-    return coal.Convex.convexHull(points, False, "Qt")
-
-
-def _distance(first: object, at: F64, second: object, there: F64) -> float:
-    found = coal.DistanceResult()
-    coal.distance(
-        first,
-        coal.Transform3s(at[:3, :3], at[:3, 3]),
-        second,
-        coal.Transform3s(there[:3, :3], there[:3, 3]),
-        coal.DistanceRequest(),
-        found,
-    )
-    return float(found.min_distance)
-
-
-def _pose(origin: ElementTree.Element | None) -> F64:
-    pose = np.eye(4)
-    if origin is not None:
-        roll, pitch, yaw = _numbers(origin.get("rpy", "0 0 0"))
-        x, y, z = np.eye(3)
-        pose[:3, :3] = rotation(z, yaw) @ rotation(y, pitch) @ rotation(x, roll)
-        pose[:3, 3] = _numbers(origin.get("xyz", "0 0 0"))
-    return pose
-
-
-def _numbers(text: str) -> F64:
-    return np.array([float(word) for word in text.split()])
 
 
 @dataclass(frozen=True)

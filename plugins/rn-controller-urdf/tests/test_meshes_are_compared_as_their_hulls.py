@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from rn_controller_urdf.controller import UrdfController
-from rn_controller_urdf.hulls import MOST_VERTICES
+from rn_controller_urdf.hulls import MOST_TRIANGLES, MOST_VERTICES
 from roboneuron import (
     CollisionProfile,
     ConfigurationError,
@@ -178,14 +178,55 @@ def test_a_hull_of_many_vertices_is_bounded_and_never_smaller(tmp_path: Path) ->
     turn, width = np.arange(count) * 2.399963, np.sqrt(1.0 - height**2)
     points = 0.5 * np.stack([width * np.cos(turn), width * np.sin(turn), height], axis=1)
     faces = [(i, i + 1, i + 2) for i in range(count - 2)]
-    write_obj(tmp_path / "ball.obj", [tuple(point) for point in points.tolist()], faces)
+    write_obj(tmp_path / "ball.obj", [tuple(point) for point in points.tolist()], 4 * faces)
     assert count > MOST_VERTICES
+    assert 4 * len(faces) > MOST_TRIANGLES  # only the hull counts
     ball = loaded(arm(mesh("ball.obj", "0.2 0.2 0.2"), tmp_path))
     true = loaded(arm('<sphere radius="0.1"/>'))
     for position in np.random.default_rng(4).uniform(-3, 3, (40, 4)):
         expected, found = told(true, sample(*position)), told(ball, sample(*position))
         for pair in expected.keys() & found.keys():
             assert -0.002 <= found[pair] - expected[pair] <= 3e-4, pair  # its facets
+
+
+ANGLE = ((0.24, 0.02, 0.02), (0.02, 0.3, 0.02)), ((0.0, 0.0, 0.0), (-0.11, 0.16, 0.0))
+"""Sizes and centres of two boxes that make an angle; its hull fills the corner between them."""
+
+
+def with_first(profile: RobotProfile, shapes: str) -> RobotProfile:
+    """A profile with other collision shapes of its first link."""
+    begin, end = '<link name="bar0">', "</link>"
+    head, _, rest = profile.urdf.partition(begin)
+    return replace(profile, urdf=f"{head}{begin}{shapes}{end}{rest.partition(end)[2]}")
+
+
+@pytest.mark.parametrize("most_triangles", [MOST_TRIANGLES, 24, 23])
+def test_surfaces_decide_where_hulls_are_too_close(
+    tmp_path: Path, most_triangles: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As near as two boxes that make the same angle, unless its mesh has too many triangles."""
+    monkeypatch.setattr("rn_controller_urdf.collision.MOST_TRIANGLES", most_triangles)
+    points, faces, boxes = [], [], ""
+    for size, centre in zip(*ANGLE, strict=True):
+        faces += [tuple(i + len(points) for i in face) for face in FACES]
+        points += [tuple(np.array(centre) + np.array(corner) * size) for corner in CORNERS]
+        x, y, z = centre
+        boxes += f'<collision><origin xyz="{x + 0.15} {y} {z}"/><geometry><box size="'
+        boxes += " ".join(map(str, size)) + '"/></geometry></collision>'
+    write_obj(tmp_path / "angle.obj", points, faces)
+    one = '<collision><origin xyz="0.15 0 0"/><geometry>{}</geometry></collision>'
+    truth = loaded(with_first(arm(BOX), boxes))
+    angle = loaded(with_first(arm(BOX, tmp_path), one.format(mesh("angle.obj", "1 1 1"))))
+    rng, contacts, false = np.random.default_rng(5), 0, 0
+    for position in rng.uniform((-3, -0.3, 2.2, -0.3), (3, 0.3, 3.0, 0.3), (150, 4)):
+        expected, found = (
+            {frozenset((pair.first, pair.second)) for pair in one.inspect(sample(*position)).near}
+            for one in (truth, angle)
+        )
+        assert expected <= found
+        contacts, false = contacts + len(expected), false + len(found - expected)
+    assert contacts > 10
+    assert (false == 0) == (most_triangles >= len(faces))
 
 
 def test_a_flat_mesh_is_compared_beside_a_hull_of_many_vertices(tmp_path: Path) -> None:

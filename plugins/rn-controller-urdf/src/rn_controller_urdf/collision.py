@@ -7,13 +7,18 @@ from __future__ import annotations
 import math
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rn_controller_urdf.chain import one_coordinate
-from rn_controller_urdf.hulls import replace_meshes, resolve_meshes
+from rn_controller_urdf.hulls import (
+    MOST_TRIANGLES,
+    replace_meshes,
+    resolve_meshes,
+    surface_distance,
+)
 from roboneuron import (
     ArmProfile,
     CollisionProfile,
@@ -41,11 +46,21 @@ checked postures.
 """
 
 
+class _Required(NamedTuple):
+    """Links of a pair of shapes, their least distance, and the shapes that decide below it."""
+
+    names: tuple[str, str]
+    least_m: float
+    surfaces: tuple[Any, Any] | None
+
+
 class CollisionModel:
     """Finds links that are too close to each other or to an obstacle; used from one thread.
 
     One model contains all arms, so the distances between arms are checked like those between links.
-    A mesh counts as its convex hull.
+    A mesh counts as its convex hull. Where hulls are too close, the surfaces of meshes of at most
+    `MOST_TRIANGLES` decide, because a hull fills the hollow of an elbow: a link gets into one only
+    by a posture at which surfaces meet, and paths are sampled more densely than their distance.
 
     Not compared, because they overlap by construction: links of one joint, links connected by a
     joint, fingers of one hand, shapes that touch at the profile's home posture, a base that stands
@@ -78,7 +93,7 @@ class CollisionModel:
             raise ConfigurationError(
                 f"Robot {profile.name!r}: its collision shapes cannot be read: {error}"
             ) from error
-        has_hulls = replace_meshes(self._shapes)
+        self._meshes = replace_meshes(self._shapes)
         self._links = [
             str(self._model.frames[s.parentFrame].name) for s in self._shapes.geometryObjects
         ]
@@ -91,7 +106,7 @@ class CollisionModel:
         if profile.home_rad is not None:
             home = JointSample(names=profile.arm_joints, position=profile.home_rad)
             self._remove(self._distances_at(home) <= 0.0)
-        if has_hulls:
+        if self._meshes:
             self._remove(self._are_built_together(profile))
         if not len(self._shapes.collisionPairs):
             raise ConfigurationError(
@@ -180,10 +195,10 @@ class CollisionModel:
                 self._shapes.addCollisionPair(self._pin.CollisionPair(first, second))
 
     def _prepare(self) -> None:
-        """Create scratch memory, and the names and the required distance [m] of each pair."""
+        """Create scratch memory, and what is required of each pair."""
         self._contacts = self._shapes.createData()
         obstacles = {obstacle.name for obstacle in self._collision.obstacles}
-        self._required: list[tuple[tuple[str, str], float]] = []
+        self._required: list[_Required] = []
         for pair, request in zip(
             self._shapes.collisionPairs, self._contacts.collisionRequests, strict=True
         ):
@@ -192,7 +207,7 @@ class CollisionModel:
             least_m = self._collision.min_distance_m
             least_m = min(_TOUCH_M, least_m) if is_close else least_m
             names = (self._links[pair.first], self._links[pair.second])
-            self._required.append((names, least_m))
+            self._required.append(_Required(names, least_m, self._surfaces(pair)))
             request.security_margin = least_m
 
     def _distances_at(self, joints: JointSample) -> F64:
@@ -245,10 +260,12 @@ class CollisionModel:
         of those that are closer than allowed.
         """
         nearest: dict[tuple[str, str], Proximity] = {}
-        for (names, least_m), found in zip(
-            self._required, self._contacts.distanceResults, strict=True
+        for index, ((names, least_m, _), found) in enumerate(
+            zip(self._required, self._contacts.distanceResults, strict=True)
         ):
             distance_m = found.min_distance
+            if distance_m < least_m:
+                distance_m = self._apart(index, distance_m)
             if only_close and distance_m >= least_m:
                 continue
             if names not in nearest or distance_m < nearest[names].distance_m:
@@ -256,6 +273,29 @@ class CollisionModel:
                     first=names[0], second=names[1], distance_m=distance_m, least_m=least_m
                 )
         return nearest.values()
+
+    def _surfaces(self, pair: pinocchio.CollisionPair) -> tuple[Any, Any] | None:
+        """The shapes of a pair with meshes as their surfaces; None without a mesh, and if one has
+        too many triangles.
+        """
+        both = (pair.first, pair.second)
+        meshes = [self._meshes[index] for index in both if index in self._meshes]
+        if not meshes or max(mesh.num_tris for mesh in meshes) > MOST_TRIANGLES:
+            return None
+        shapes = self._shapes.geometryObjects
+        first, second = (self._meshes.get(index, shapes[index].geometry) for index in both)
+        return first, second
+
+    def _apart(self, index: int, hull_m: float) -> float:
+        """Distance of the surfaces of a pair whose hulls are `hull_m` apart; that where they meet,
+        and without surfaces.
+        """
+        surfaces = self._required[index].surfaces
+        if surfaces is None:
+            return hull_m
+        pair, poses = self._shapes.collisionPairs[index], self._contacts.oMg
+        apart_m = surface_distance(surfaces[0], poses[pair.first], surfaces[1], poses[pair.second])
+        return apart_m if apart_m > 0.0 else hull_m
 
     def _set_configuration(self, profile: RobotProfile) -> None:
         """Find the coordinate of each joint."""

@@ -1,4 +1,6 @@
-"""Convex hulls of meshes, as collision shapes whose distances take microseconds."""
+"""Convex hulls of meshes, as collision shapes whose distances take microseconds, and the surfaces
+that decide where hulls are too close.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,8 @@ if TYPE_CHECKING:
 
 MOST_VERTICES = 512
 """Bounds the time of one distance; hulls of links of public arms lack 1 to 3 mm with it."""
-
+MOST_TRIANGLES = 5000
+"""Of a mesh whose surface is compared, which takes 0.1 to 0.4 ms for two such; 5 ms for 50,000."""
 
 _FLAT_M = 1e-4
 """Thickness of a mesh whose points lie in a plane, either way."""
@@ -51,18 +54,17 @@ def missing_meshes(profile: RobotProfile, missing: list[str]) -> ConfigurationEr
     )
 
 
-def replace_meshes(shapes: pinocchio.GeometryModel) -> bool:
-    """Replace every mesh of a geometry model by a hull that contains it; returns whether there are
-    any. A flat mesh, which has no hull, gets a thickness.
+def replace_meshes(shapes: pinocchio.GeometryModel) -> dict[int, Any]:
+    """Replace every mesh of a geometry model by a hull that contains it; returns the meshes by the
+    index of their shape. A flat mesh, which has no hull, gets a thickness.
     """
     import coal  # type: ignore[import-untyped]  # heavy; comes with pinocchio
 
-    has_meshes = False
-    for shape in shapes.geometryObjects:
+    meshes: dict[int, Any] = {}
+    for index, shape in enumerate(shapes.geometryObjects):
         if not isinstance(shape.geometry, coal.BVHModelBase):
             continue
-        has_meshes = True
-        mesh = shape.geometry
+        mesh = meshes[index] = shape.geometry
         corners = np.array([mesh.vertex(i) for i in range(mesh.num_vertices)])
         spread = np.linalg.svd(corners - corners.mean(axis=0), compute_uv=False)
         if spread[-1] <= _FLAT_M * math.sqrt(len(corners)):  # qhull does not survive a plane
@@ -70,7 +72,16 @@ def replace_meshes(shapes: pinocchio.GeometryModel) -> bool:
             corners = (corners[:, np.newaxis] + thick).reshape(-1, 3)
         hull = _hull_of(corners)
         shape.geometry = _bounded(hull)
-    return has_meshes
+    return meshes
+
+
+def surface_distance(first: Any, at: pinocchio.SE3, second: Any, there: pinocchio.SE3) -> float:
+    """Distance [m] of two shapes, of which meshes are their surfaces; at most 0 where they meet."""
+    import coal  # heavy
+
+    poses = [coal.Transform3s(pose.rotation, pose.translation) for pose in (at, there)]
+    request, result = coal.DistanceRequest(), coal.DistanceResult()
+    return float(coal.distance(first, poses[0], second, poses[1], request, result))
 
 
 def _bounded(hull: Any) -> Any:
