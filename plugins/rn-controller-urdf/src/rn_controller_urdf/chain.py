@@ -8,7 +8,7 @@ import math
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 
-from roboneuron import ConfigurationError
+from roboneuron import ConfigurationError, JointKinds, joint_kinds
 
 _MOVING = ("revolute", "continuous", "prismatic")
 
@@ -51,21 +51,6 @@ class ChainJoint:
         return self.type == "prismatic"
 
 
-def _number(element: ET.Element | None, attribute: str, default: float, joint: str) -> float:
-    text = None if element is None else element.get(attribute)
-    if text is None:
-        return default
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if math.isnan(value):
-        raise ConfigurationError(
-            f"URDF joint {joint!r}: {attribute} is {text!r}, expected a number."
-        )
-    return value
-
-
 def _vector(element: ET.Element | None, attribute: str, default: str, joint: str) -> str:
     text = default if element is None else element.get(attribute, default)
     try:
@@ -89,11 +74,10 @@ def _link(element: ET.Element, role: str, joint: str) -> str:
     return link
 
 
-def _parse_joint(element: ET.Element) -> ChainJoint:
-    name = element.get("name", "")
-    origin, limit = element.find("origin"), element.find("limit")
-    kind = element.get("type", "")
-    bounded = kind != "continuous"
+def _parse_joint(element: ET.Element, kinds: JointKinds) -> ChainJoint:
+    name, kind = element.get("name", ""), element.get("type", "")
+    origin = element.find("origin")
+    lower, upper = kinds.limits(name)
     axis = _vector(element.find("axis"), "xyz", "1 0 0", name)
     if kind != "fixed" and not any(float(word) for word in axis.split()):
         raise ConfigurationError(f"URDF joint {name!r}: its axis is zero, expected a direction.")
@@ -105,9 +89,9 @@ def _parse_joint(element: ET.Element) -> ChainJoint:
         origin_xyz=_vector(origin, "xyz", "0 0 0", name),
         origin_rpy=_vector(origin, "rpy", "0 0 0", name),
         axis=axis,
-        lower=_number(limit, "lower", -math.inf, name) if bounded else -math.inf,
-        upper=_number(limit, "upper", math.inf, name) if bounded else math.inf,
-        velocity=_number(limit, "velocity", math.inf, name),
+        lower=lower,
+        upper=upper,
+        velocity=kinds.velocity_limit(name),
         is_follower=element.find("mimic") is not None,
     )
 
@@ -141,6 +125,7 @@ def parse_chain(urdf: str, base_link: str, tcp_link: str) -> tuple[ChainJoint, .
         for element in root.findall("joint")
     }
     chain: list[ChainJoint] = []
+    kinds = joint_kinds(urdf)
     link = tcp_link
     while link != base_link:
         if link not in above or len(chain) > len(above):
@@ -148,7 +133,7 @@ def parse_chain(urdf: str, base_link: str, tcp_link: str) -> tuple[ChainJoint, .
                 f"The link {tcp_link!r} does not hang from {base_link!r} in the robot description; "
                 f"its chain ends at {link!r}."
             )
-        joint = _parse_joint(above[link])
+        joint = _parse_joint(above[link], kinds)
         if joint.is_moving and joint.type not in _MOVING:
             raise ConfigurationError(
                 f"URDF joint {joint.name!r} is of type {joint.type!r}, expected fixed or one of "

@@ -141,6 +141,10 @@ class JointKinds:
             return -math.inf, math.inf
         return self._limit(joint, "lower"), self._limit(joint, "upper")
 
+    def velocity_limit(self, joint: str) -> float:
+        """Velocity limit of the description [rad/s or m/s]; infinite where it has none."""
+        return self._limit(joint, "velocity")
+
     def _limit(self, joint: str, side: str) -> float:
         default = -math.inf if side == "lower" else math.inf
         limit = self._joints[joint].find("limit")
