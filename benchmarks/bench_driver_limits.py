@@ -60,7 +60,10 @@ def main() -> None:
 
         times["limits, one point"].append(timed(pass_on))
         if number % 50 == 0:
-            plan = [command] * 50
+            places = [home + 0.1 * np.sin(0.5 * (now_s + 0.05 * k)) for k in range(1, 51)]
+            plan = [
+                JointCommand(names=ARM_JOINTS, position=place, duration_s=0.05) for place in places
+            ]
             many = to_joint_trajectory(*plan)
             times["conversion of 50 points"].append(timed(partial(commands_from_message, many)))
             times["limits, 50 points"].append(timed(partial(limits.admit, plan, now_s)))
