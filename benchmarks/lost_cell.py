@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import subprocess
 import sys
 import time
 from collections.abc import Iterator
@@ -15,6 +16,8 @@ from anyio.from_thread import BlockingPortal, start_blocking_portal
 from mcp import Client, StdioServerParameters
 from plugin_site import installed
 
+from rn_robot_fr3.limits import ARM_JOINTS
+from rn_robot_fr3.profile import HOME_RAD
 from roboneuron.ros.environment import prepare_environment
 
 STILL_RAD_S = 0.02
@@ -45,6 +48,22 @@ backend = "servo"
 [control]
 controller = "urdf"
 """
+ROS2 = """
+[robot]
+name = "fr3"
+driver = "ros2-control"
+[plugins.fr3]
+controller = "/fr3_arm_controller"
+connect_timeout_s = 60.0
+[control]
+controller = "urdf"
+[[expose]]
+name = "follow"
+kind = "action"
+topic = "/fr3_arm_controller/follow_joint_trajectory"
+type = "control_msgs/action/FollowJointTrajectory"
+"""
+"""With a controller in a process of its own, which follows a goal also without the robot module."""
 PAIR = """
 [robot]
 name = "fr3-pair"
@@ -151,14 +170,25 @@ class Cell:
 
 
 @contextlib.contextmanager
+def controller(log: Path) -> Iterator[None]:
+    """The stand-in for a controller of ros2_control, at the FR3's home."""
+    command = [sys.executable, "-m", "rn_driver_ros2control.standin_node"]
+    command += ["--controller", "/fr3_arm_controller", "--joints", *ARM_JOINTS]
+    command += ["--start", *(str(value) for value in HOME_RAD)]
+    with log.open("wb") as file, subprocess.Popen(command, stdout=file, stderr=file) as process:
+        yield
+        process.terminate()
+
+
+@contextlib.contextmanager
 def served(folder: Path, cell: str) -> Iterator[tuple[Cell, Cell | None]]:
     """A server; everything ends with it."""
     folder.mkdir(parents=True, exist_ok=True)
     text = FLEET.format(folder=folder)
     if cell != "fleet":
-        x, arm, joint = PLACES[cell]
+        x, arm, joint = PLACES.get(cell, PLACES["fr3"])
         common = COMMON.format(folder=folder, x=x, arm=arm, joint=joint)
-        text = (FR3 if cell == "fr3" else PAIR) + common
+        text = {"fr3": FR3, "pair": PAIR, "ros2": ROS2}[cell] + common
     config = folder / "roboneuron.toml"
     config.write_text(text)
     with contextlib.ExitStack() as stack:
@@ -168,6 +198,8 @@ def served(folder: Path, cell: str) -> Iterator[tuple[Cell, Cell | None]]:
 
         from roboneuron.ros.link import RosLink  # heavy
 
+        if cell == "ros2":
+            stack.enter_context(controller(folder / "controller.log"))
         link = RosLink("witness")
         stack.callback(link.close)
         link.open()
@@ -184,4 +216,4 @@ def served(folder: Path, cell: str) -> Iterator[tuple[Cell, Cell | None]]:
                 Cell(client, portal, link, "right", "right"),
             )
         else:
-            yield Cell(client, portal, link, {"fr3": "fr3", "pair": "fr3_pair"}[cell]), None
+            yield Cell(client, portal, link, "fr3_pair" if cell == "pair" else "fr3"), None

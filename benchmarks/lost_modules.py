@@ -41,6 +41,11 @@ AGAIN_S = 5.2
 BRAKED_S = 0.5
 """A simulation that was frozen in motion brakes when it goes on."""
 NEVER = {"kind": "tcp_in", "lower_m": [9, 9, 9], "upper_m": [10, 10, 10]}
+HELD = {
+    "kind": "held",
+    "for_s": 1.0,
+    "of": {"kind": "gripper_holds", "least_open": 0.15, "most_open": 0.85},
+}
 WAYS = ("killed", "frozen", "frozen and resumed")
 
 
@@ -69,6 +74,50 @@ def publish(cell: Cell, joint: str) -> Any:
     return cell.ask("publish_joint_trajectory", message=message)
 
 
+def sequence(cell: Cell, joint: str) -> Any:
+    """Two trajectories of 4 s, one after the other."""
+    to = turn(cell, joint)
+    steps = [
+        {
+            "message": {
+                "joint_names": [joint],
+                "points": [{"positions": [at], "time_from_start": {"sec": 4, "nanosec": 0}}],
+            }
+        }
+        for at in (to / 2, to)
+    ]
+    return cell.ask("publish_joint_trajectory_sequence", steps=steps)
+
+
+def goal(cell: Cell, joint: str) -> Any:
+    """A goal of 8 s of the action of ros2_control."""
+    state = cell.do("read_joint_states")["messages"][0]
+    joints = {
+        name: position
+        for name, position in zip(state["name"], state["position"], strict=True)
+        if "_joint" in name and "finger" not in name
+    }
+    joints[joint] = turn(cell, joint)
+    point = {"positions": [*joints.values()], "time_from_start": 8.0}
+    trajectory = {"joint_names": [*joints], "points": [point]}
+    return cell.ask("send_follow_goal", goal={"trajectory": trajectory}, server_timeout_s=30.0)
+
+
+def place(cell: Cell, joint: str) -> Any:
+    """The held cube goes to the other side."""
+    return cell.ask("place", dy_m=0.3)
+
+
+def hold_cube(cell: Cell) -> None:
+    """The hand holds the red cube, in a new simulation."""
+    cell.do("stop_all")
+    cell.run(*KINDS)
+    answer = cell.ask("run_task", instruction="pick up the red cube", until=HELD, max_s=60)
+    if "'outcome': 'succeeded'" not in str(answer.structured_content):
+        raise RuntimeError(f"the cube is not held: {answer.structured_content}")
+    cell.do("stop_inference")
+
+
 def move_ee(cell: Cell, joint: str) -> Any:
     """A slow line there or back."""
     arm = {"arm": "left"} if joint.startswith("left") else {}
@@ -95,7 +144,19 @@ MOTIONS: dict[str, Callable[[Cell, str], Any]] = {
     "move_to place": move_to_place,
     "move_to posture": move_to_posture,
     "publish": publish,
+    "sequence": sequence,
+    "place": place,
+    "goal": goal,
     "lead": lambda cell, joint: cell.ask("lead_arm", source="push"),
+}
+
+
+MOTIONS_OF = {
+    "fr3": [one for one in MOTIONS if one != "goal"],
+    # a twist names no arm
+    "pair": [one for one in MOTIONS if one not in ("goal", "lead", "place")],
+    "fleet": ["run_task"],
+    "ros2": ["goal", "move_joints", "publish", "sequence"],
 }
 
 
@@ -113,6 +174,8 @@ def trial(
     """One motion and its loss."""
     problems: list[str] = []
     result: dict[str, Any] = {"motion": motion, "module": kind, "way": way, "problems": problems}
+    if motion == "place":
+        hold_cube(cell)
     cell.run("robot", "control", *(("perception", "inference") if motion == "run_task" else ()))
     pid = int(cell.modules()[kind]["pid"])
     if motion == "lead":
@@ -188,9 +251,7 @@ def lead_end(cell: Cell, before: set[str], lost_s: float) -> str:
 
 def trials(cell: str) -> list[tuple[str, str, str]]:
     """Motion, module and way of every trial."""
-    motions = ["run_task"] if cell == "fleet" else list(MOTIONS)
-    if cell == "pair":
-        motions.remove("lead")  # a twist names no arm
+    motions = MOTIONS_OF[cell]
     return [
         (motion, kind, way)
         for motion in motions
@@ -219,7 +280,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--cell", choices=("fr3", "pair", "fleet"), default="fr3")
+    parser.add_argument("--cell", choices=tuple(MOTIONS_OF), default="fr3")
     parser.add_argument("--folder", type=Path, required=True)
     parser.add_argument("--motions", nargs="*", choices=tuple(MOTIONS), default=tuple(MOTIONS))
     parser.add_argument("--modules", nargs="*", choices=KINDS, default=KINDS)
@@ -240,7 +301,7 @@ def main() -> int:
         if all(part in among for part, among in zip(one, chosen, strict=True))
     ]
     with served(arguments.folder / arguments.cell, arguments.cell) as (cell, other):
-        cell.run(*KINDS)
+        cell.run(*(KINDS if arguments.cell != "ros2" else ("robot", "control")))
         others: list[Any] = []
 
         def task_beside(robot: Cell) -> None:

@@ -19,10 +19,14 @@ pytest.importorskip(
     "control_msgs", reason="control_msgs is not built here (it needs a C++ compiler)"
 )
 
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
 from rn_robot_fr3.limits import ARM_JOINTS
 from rn_robot_fr3.profile import HOME_RAD
 from rn_testing.agent import Agent, client_of
 from rn_testing.domain import free_ros_domain
+from roboneuron.ros.environment import prepare_environment
+from roboneuron.ros.link import RosLink
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(180)]
 CONFIG = """
@@ -137,3 +141,37 @@ def test_goals_are_followed_within_the_limits_of_every_point(
             assert await agent.last_joint() == pytest.approx(rested, abs=1e-3)
 
     anyio.run(scenario)
+
+
+def test_a_goal_that_another_command_replaces_is_not_reached(
+    environment: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The controller tells the end of the other command as that of the goal."""
+    monkeypatch.setenv("ROS_DOMAIN_ID", environment["ROS_DOMAIN_ID"])
+    prepare_environment(tmp_path / "ros")
+    foreign = RosLink("foreign")
+    foreign.open()
+    send = foreign.advertise(JointTrajectory, "/fr3_arm_controller/joint_trajectory")
+
+    async def scenario() -> None:
+        async with agent_of(tmp_path, environment) as agent:
+
+            async def replace() -> None:
+                while abs(await agent.last_joint()) < 0.02:
+                    await anyio.sleep(0.02)
+                point = JointTrajectoryPoint(positions=[float(q) for q in HOME_RAD])
+                point.time_from_start.nanosec = 300_000_000
+                send(JointTrajectory(joint_names=list(ARM_JOINTS), points=[point]))
+
+            async with anyio.create_task_group() as group:
+                group.start_soon(replace)
+                succeeded, _, text = await agent.call(
+                    "send_follow_goal", goal=goal((1.2, 10.0)), server_timeout_s=30.0
+                )
+            assert not succeeded
+            assert "reports that its goal is reached, but fr3_joint7 is measured 1.2" in text
+
+    try:
+        anyio.run(scenario)
+    finally:
+        foreign.close()

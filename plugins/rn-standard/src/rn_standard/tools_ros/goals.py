@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 import uuid
@@ -20,6 +21,10 @@ _STATUS_WORDS = {4: "succeeded", 5: "canceled", 6: "aborted"}
 _ANSWER_S = 5.0
 _CANCEL_S = 2.0
 """Time for the server to confirm the cancellation of a goal."""
+_JOINTS_S = 1.0
+_REACHED_RAD = 0.1
+_REASON_S = 0.5
+"""Time in which the robot reports why it has replaced a goal by a hold; it reports every 0.25 s."""
 
 
 class _DoneFuture(Protocol):
@@ -167,6 +172,9 @@ def _follow(
 
         if not goal.wait(lambda: goal.outcome is not None, timeout_s, check):
             raise NotReadyError(f"The goal of {exposed.topic} did not end within {timeout_s:g} s.")
+        if goal.status == "succeeded" and (told := _not_reached(gate, exposed, request)):
+            goal.wait(lambda: False, _REASON_S, motion.check)
+            raise StateError(told, hint="Another command has replaced the goal: see who sends one.")
     except RoboNeuronError as error:
         if goal.accepted is False:
             raise
@@ -180,3 +188,28 @@ def _follow(
         ).check()
     took_s = time.monotonic() - started_s
     return GoalEnd(verdict=verdict, status=goal.status, result=goal.outcome.result, took_s=took_s)
+
+
+def _not_reached(gate: MotionGate, exposed: ExposedEndpoint, request: GateRequest) -> str:
+    """What is measured elsewhere than at the end of a trajectory that is told to be reached; empty
+    if nothing is.
+
+    A controller that gets another trajectory by its topic follows that one, and tells its end as
+    that of the goal. Source: joint_trajectory_controller of ros2_controllers, whose topic ends no
+    goal.
+    """
+    trajectory = getattr(request.messages[0], "trajectory", None)
+    if not exposed.endpoint.joint_limited or not getattr(trajectory, "points", None):
+        return ""
+    measured = gate.joints(exposed, _JOINTS_S)
+    if measured is None:
+        return ""
+    now = dict(zip(measured.names, measured.position.tolist(), strict=True))
+    for name, goal in zip(trajectory.joint_names, trajectory.points[-1].positions, strict=True):
+        away = abs(math.remainder(now.get(name, goal) - goal, math.tau))
+        if away > _REACHED_RAD:
+            return (
+                f"{exposed.topic} reports that its goal is reached, but {name} is measured "
+                f"{away:.2f} away from it."
+            )
+    return ""
