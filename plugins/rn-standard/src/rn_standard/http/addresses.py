@@ -63,3 +63,16 @@ def bind(section: str, host: str, port: int, tokens: TokenTable) -> socket.socke
             hint=f"Does another one run? Choose another port, in [{section}] or with --port.",
         ) from error
     return bound
+
+
+def network_of(address: str) -> str:
+    """Return the address; for IPv6 the /64 network, since one machine may have all of its
+    addresses.
+    """
+    try:
+        found = ipaddress.ip_address(address.partition("%")[0])
+    except ValueError:
+        return address
+    if found.version == 4 or found.is_loopback:
+        return str(found)
+    return str(ipaddress.ip_network((found, 64), strict=False))

@@ -15,7 +15,8 @@ from typing import Any
 import h11
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-from rn_standard.http.listener import BoundedListener, handle_limit, network_of
+from rn_standard.http.addresses import network_of
+from rn_standard.http.listener import BoundedListener, handle_limit
 
 log = logging.getLogger(__name__)
 PROTOCOL_KEY = "roboneuron.transport"

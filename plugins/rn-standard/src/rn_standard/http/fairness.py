@@ -59,7 +59,7 @@ class FairQueue(Generic[T]):
         self._items.clear()
 
 
-class Turn:
+class BegunRequest:
     """A begun request; `end` it."""
 
     def __init__(self, end: Callable[[], object]) -> None:
@@ -74,22 +74,22 @@ class Turn:
             ending()
 
 
-class Turns:
+class RequestShares:
     """Begins the requests of one holder after the other, a few at a time; used on one event loop
     only.
     """
 
     def __init__(self) -> None:
         self._begun: Counter[str] = Counter()
-        self._waiting: FairQueue[asyncio.Future[Turn]] = FairQueue()
+        self._waiting: FairQueue[asyncio.Future[BegunRequest]] = FairQueue()
 
-    def at_once(self, holder: str) -> Turn | None:
+    def at_once(self, holder: str) -> BegunRequest | None:
         """Begin a request; None if it has to `wait`."""
         return self._begin(holder) if self._may(holder) else None
 
-    async def wait(self, holder: str) -> Turn:
+    async def wait(self, holder: str) -> BegunRequest:
         """Begin a request when it is its turn."""
-        future: asyncio.Future[Turn] = asyncio.get_running_loop().create_future()
+        future: asyncio.Future[BegunRequest] = asyncio.get_running_loop().create_future()
         self._waiting.put(holder, future)
         try:
             return await future
@@ -101,9 +101,9 @@ class Turns:
     def _may(self, holder: str) -> bool:
         return self._begun[holder] < AT_ONCE_OF_ONE and self._begun.total() < AT_ONCE
 
-    def _begin(self, holder: str) -> Turn:
+    def _begin(self, holder: str) -> BegunRequest:
         self._begun[holder] += 1
-        return Turn(lambda: self._ended(holder))
+        return BegunRequest(lambda: self._ended(holder))
 
     def _ended(self, holder: str) -> None:
         self._begun[holder] -= 1

@@ -19,7 +19,6 @@ from __future__ import annotations
 import asyncio
 import ctypes
 import errno
-import ipaddress
 import itertools
 import logging
 import os
@@ -32,6 +31,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 
+from rn_standard.http.addresses import network_of
 from rn_standard.http.fairness import FairQueue
 
 log = logging.getLogger(__name__)
@@ -386,16 +386,3 @@ def _open_spare() -> int:
     accepted and refused with it.
     """
     return os.open(os.devnull, os.O_RDONLY | os.O_CLOEXEC)
-
-
-def network_of(address: str) -> str:
-    """Return the address; for IPv6 the /64 network, since one machine may have all of its
-    addresses.
-    """
-    try:
-        found = ipaddress.ip_address(address.partition("%")[0])
-    except ValueError:
-        return address
-    if found.version == 4 or found.is_loopback:
-        return str(found)
-    return str(ipaddress.ip_network((found, 64), strict=False))

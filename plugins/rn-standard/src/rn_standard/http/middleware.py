@@ -19,7 +19,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from rn_standard.http.authentication import LocalBackend, TokenBackend, holder_of
 from rn_standard.http.connection_loss import RequestConnection
 from rn_standard.http.connections import ConnectionTable
-from rn_standard.http.fairness import Turns
+from rn_standard.http.fairness import RequestShares
 from rn_standard.http.local_clients import account_of
 from rn_standard.http.origins import HostRules
 from rn_standard.http.peers import protocol_of
@@ -50,7 +50,7 @@ class AccessMiddleware:
         self._rules = rules
         self._connections = connections or ConnectionTable()
         self._present = present
-        self._turns = Turns()
+        self._shares = RequestShares()
         backend = TokenBackend(tokens) if tokens else LocalBackend(self._connections)
         known = AuthenticationMiddleware(self._admit, backend, _unauthorized)
         self._for_pages = _Pages(known, rules)
@@ -86,10 +86,10 @@ class AccessMiddleware:
                 await _too_many(holder)(scope, receive, send)
                 return
             self._connections.prove(protocol, account_of(holder), is_stop=True)
-        turn = self._turns.at_once(holder.who)
+        turn = self._shares.at_once(holder.who)
         if turn is None:
             is_stop, receive = await _look_for_stop(receive)
-            turn = None if is_stop else await self._turns.wait(holder.who)
+            turn = None if is_stop else await self._shares.wait(holder.who)
         connection = RequestConnection(receive)
         inner = {**scope, Holder.KEY: replace(holder, watched=connection.watched)}
         try:

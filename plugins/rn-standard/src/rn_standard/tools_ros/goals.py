@@ -198,7 +198,7 @@ def _not_reached(gate: MotionGate, exposed: ExposedEndpoint, request: GateReques
     that of the goal. Source: joint_trajectory_controller of ros2_controllers, whose topic ends no
     goal.
     """
-    trajectory = getattr(request.messages[0], "trajectory", None)
+    trajectory: Any = getattr(request.messages[0], "trajectory", None)
     if not exposed.endpoint.joint_limited or not getattr(trajectory, "points", None):
         return ""
     measured = gate.joints(exposed, _JOINTS_S)
