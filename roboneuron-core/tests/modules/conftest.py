@@ -132,9 +132,9 @@ class World:
         self.node.create_subscription(message_type, topic, received.append, 10)
         return received
 
-    def publisher(self, message_type: Any, topic: str) -> Any:
+    def publisher(self, message_type: Any, topic: str, qos: Any = 1) -> Any:
         """A publisher that is matched with its subscriber."""
-        publisher = self.node.create_publisher(message_type, topic, 1)
+        publisher = self.node.create_publisher(message_type, topic, qos)
         assert holds_within(lambda: publisher.get_subscription_count() > 0), (
             f"nobody listens on {topic}"
         )
