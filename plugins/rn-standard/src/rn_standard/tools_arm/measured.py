@@ -42,19 +42,25 @@ class MeasuredPose:
 
         Raises:
             NotReadyError: control publishes none.
+            StateError: the arm was stopped, or has lost a module.
             RoboNeuronError: ROS cannot be joined.
         """
         self.open()
         deadline_s = time.monotonic() + timeout_s
         starts = self._host.loop.starts
-        stops = starts.arm_stops
+        stops, arm_stops = starts.stops, starts.arm_stops
         while True:
             newest = self._newest
             if newest is not None and time.monotonic() - newest[0] <= _AGE_S:
                 pose = _pose(newest[1])
                 if pose.stamp_ns > newer_than_ns:
                     return pose
-            if time.monotonic() > deadline_s or starts.arm_stops != stops:
+            is_late = time.monotonic() > deadline_s
+            if is_late:
+                starts.look()  # a module that was lost just now has published none
+            if starts.arm_stops != arm_stops:
+                starts.check(stops)
+            if is_late:
                 raise NotReadyError(
                     "Control publishes no pose of the end effector.", hint="See get_status."
                 )
