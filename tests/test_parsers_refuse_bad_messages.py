@@ -5,7 +5,10 @@
 
 from __future__ import annotations
 
+import io
 import json
+import struct
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,6 +16,8 @@ from typing import Any
 import msgpack
 import numpy as np
 import pytest
+from PIL import Image
+from sensor_msgs.msg import CompressedImage
 
 from rn_backend_openpi import wire as openpi_wire
 from rn_backend_shared import frames, wire
@@ -20,13 +25,21 @@ from rn_backend_shared.frames import FrameKind, Header
 from rn_backend_shared.introduction import to_profile
 from rn_backend_shared.session import Welcome
 from rn_eval import wire as eval_wire
+from rn_link import rtps
 from rn_link_pairing.pake import PairingError
 from rn_link_pairing.wire import parse
+from rn_recorder_runs.action_labels import label_of
+from rn_recorder_runs.episodes import stamp_of
+from rn_recorder_runs.images import to_jpeg
 from rn_recorder_runs.store import decoded_event
+from rn_robot_fr3.fci.network_check import is_answer
 from rn_runtime_sglang.wire import MalformedReply, error_text, parse_reply
 from rn_simulation.scene_state import from_message
+from rn_standard.switching.standby import LISTENERS, listeners
 from rn_standard.tasks.http_judge import parse_answer
+from rn_standard.tools_ros.interfaces.picture import to_picture
 from rn_testing.bad_data import ESCAPED, NOTHING, Parser, tried
+from rn_view.diagnostics.active_limits import limit_counts
 from rn_view.teleoperation.sample_socket import PageTeleoperator
 from rn_view.visualization.predicted_path import PlannedChunk
 from roboneuron import EE_DELTA, ForeignDataError, RoboNeuronError, foreign
@@ -125,6 +138,46 @@ def packed(valid: object) -> bytes:
     return bytes(msgpack.packb(valid, use_bin_type=True))
 
 
+def png(pixels: int = 8) -> bytes:
+    """A grey PNG of that height and width, whose data are those of 8 x 8."""
+
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        return (
+            struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+        )
+
+    head = struct.pack(">IIBBBBB", pixels, pixels, 8, 0, 0, 0, 0)
+    rows = zlib.compress(bytes(9 * 8))
+    signature = b"\x89PNG\r\n\x1a\n"
+    return signature + chunk(b"IHDR", head) + chunk(b"IDAT", rows) + chunk(b"IEND", b"")
+
+
+def jpeg() -> bytes:
+    made = io.BytesIO()
+    Image.fromarray(np.zeros((16, 16, 3), dtype=np.uint8)).save(made, "JPEG")
+    return made.getvalue()
+
+
+def shown(folder: Path, data: bytes) -> object:
+    message = CompressedImage(format="png")
+    message.data = data
+    return to_picture(message, longest_side_px=64)
+
+
+def eval_image(folder: Path, data: bytes) -> object:
+    payload = {"a": {"__image__": True, "format": "png", "data": data}}
+    raw = {"type": "hello", "payload": payload, "seq": 1, "timestamp": 1.0}
+    return eval_wire.unpack(packed(raw))
+
+
+CDR_IMAGE = (
+    struct.pack("<4siII4s", b"\0\1\0\0", 1, 2, 2, b"a\0\0\0")
+    + struct.pack("<III8s", 4, 4, 5, b"rgb8\0\0\0\0")
+    + struct.pack("<II", 12, 48)
+    + bytes(48)
+)
+DISCOVERY = b"RTPS\2\3\1\x0f" + bytes(12) + b"\x15\5\x20\0\0\0\x10\0\0\0\0\0\0\1\0\xc2" + bytes(24)
+PLACES = {7400: (b"\1\2\3\4", 5)}
 SCENE = {"robot": "fr3", "engine": "pybullet", "seed": 3, "cubes": [["red", 0.04]]}
 PARSERS = {
     "page samples": Parser(
@@ -208,6 +261,25 @@ PARSERS = {
         },
         NOTHING,
     ),
+    "shown PNG": Parser("a ROS node", shown, png(), (RoboNeuronError,)),
+    "shown JPEG": Parser("a ROS node", shown, jpeg(), (RoboNeuronError,)),
+    "vla-eval, PNG": Parser("vla-eval's clients", eval_image, png(), (ForeignDataError,)),
+    "recorded image": Parser(
+        "a ROS node", lambda folder, data: to_jpeg(data, 80), CDR_IMAGE, (ValueError,)
+    ),
+    "recorded stamp": Parser(
+        "a recording", lambda folder, data: stamp_of(data), CDR_IMAGE[:12], (ForeignDataError,)
+    ),
+    "recorded label": Parser("a ROS node", lambda folder, data: label_of(data), CDR_IMAGE, NOTHING),
+    "discovery": Parser(
+        "the network",
+        lambda folder, data: (rtps.read_announcement(data), rtps.with_places(data, PLACES)),
+        DISCOVERY,
+        NOTHING,
+    ),
+    "echo": Parser(
+        "a control box", lambda folder, data: is_answer(data, 5), bytes(7) + b"\5", NOTHING
+    ),
     "pairing": Parser(
         "another machine",
         lambda folder, data: parse(data, "a", "b"),
@@ -243,3 +315,21 @@ def test_the_valid_document_is_taken(name: str, tmp_path: Path) -> None:
     parser = PARSERS[name]
     data = parser.valid if isinstance(parser.valid, bytes) else json.dumps(parser.valid).encode()
     parser.parse(tmp_path, data)
+
+
+@pytest.mark.parametrize("pixels", [10_000, 20_000, 2**16, 2**31 - 1])
+@pytest.mark.parametrize("name", ["shown PNG", "vla-eval, PNG"])
+@pytest.mark.filterwarnings("ignore::PIL.Image.DecompressionBombWarning")
+def test_a_small_file_of_a_large_picture_is_refused(name: str, pixels: int, tmp_path: Path) -> None:
+    parser = PARSERS[name]
+    with pytest.raises(parser.errors):
+        parser.parse(tmp_path, png(pixels))
+
+
+@pytest.mark.parametrize("read", [listeners, limit_counts])
+@pytest.mark.parametrize("text", ["", "x", "-1", "1.5", "nan", "1e9", "9" * 5000, "\u00b2", " 1"])
+def test_what_a_node_reports_as_a_count_may_be_anything(
+    read: Callable[[dict[str, str]], object], text: str
+) -> None:
+    prefix = LISTENERS if read is listeners else "limited."
+    assert read({f"{prefix}a": text, f"{prefix}b": "7", "c": "8"}) == {"b": 7}

@@ -56,7 +56,7 @@ def unpack(data: object) -> WireMessage:
         raw = msgpack.unpackb(data, object_hook=_from_map, raw=False)
     except (
         *(ValueError, TypeError, KeyError, OSError, OverflowError, SyntaxError),
-        msgpack.UnpackException,
+        *(msgpack.UnpackException, Image.DecompressionBombError),
     ) as error:
         raise ForeignDataError(
             f"A message could not be read: {type(error).__name__}: {error}."

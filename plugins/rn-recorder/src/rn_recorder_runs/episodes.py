@@ -20,7 +20,7 @@ from rn_recorder_runs.acted import POLICY, ActedRow, Deeds
 from rn_recorder_runs.files import read_about
 from rn_recorder_runs.reading import camera_of, iterate
 from rn_recorder_runs.store import LABELS, WHOLE_RUN, decoded_event
-from roboneuron import ACTION_LABEL, InvalidInputError, channel_keys
+from roboneuron import ACTION_LABEL, ForeignDataError, InvalidInputError, channel_keys
 
 F64 = NDArray[np.float64]
 EVENTS = "/roboneuron/events"
@@ -137,7 +137,13 @@ class Streams:
 
 
 def stamp_of(data: bytes) -> int:
-    """Stamp of a CDR message that begins with a header [ns]."""
+    """Stamp of a CDR message that begins with a header [ns].
+
+    Raises:
+        ForeignDataError: it is shorter than a stamp.
+    """
+    if len(data) < 12:
+        raise ForeignDataError(f"a recorded message of {len(data)} bytes has no stamp")
     sec, nanosec = struct.unpack_from("<iI", data, 4)
     return int(sec) * 1_000_000_000 + int(nanosec)
 

@@ -167,7 +167,9 @@ class SimulatedArmDriver:
 
     def _take_turn(self, message: Float64MultiArray) -> None:
         """See `TURN_TOPIC`."""
-        if len(message.data) == 2 and message.data[0] in list(TurnWord):
+        if np.shape(message.data) != (2,) or not np.isfinite(message.data).all():
+            return
+        if message.data[0] in list(TurnWord):
             word, count = TurnWord(int(message.data[0])), int(message.data[1])
             with self._time.stepping:
                 self._stepped.take_turn(word, count, self._topics.now_ns())

@@ -95,9 +95,17 @@ def _round_trip(link: socket.socket, number: int) -> float:
         answer = link.recv(2048)
         # raw sockets include the IP header
         at = (answer[0] & 0x0F) * 4 if len(answer) > len(header) + len(payload) else 0
-        if answer[at] == _ECHO_ANSWER and struct.unpack_from("!H", answer, at + 6)[0] == number:
+        if is_answer(answer[at:], number):
             return time.perf_counter() - began_s
     return float("inf")
+
+
+def is_answer(message: bytes, number: int) -> bool:
+    """Whether an ICMP message answers the request of that number."""
+    if len(message) < 8 or message[0] != _ECHO_ANSWER:
+        return False
+    (answered,) = struct.unpack_from("!H", message, 6)
+    return bool(answered == number)
 
 
 def checksum(data: bytes) -> int:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import logging
 import os
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 
@@ -37,6 +38,17 @@ _NICENESS = 10
 _CAP_SYS_NICE = 23
 """Source: linux/capability.h."""
 _MOST = 19
+
+
+def listeners(metrics: Mapping[str, str]) -> Mapping[str, int]:
+    """Number of subscriptions of a module's outputs, by topic; what is no number is left out,
+    because any node can report in the module's name.
+    """
+    return {
+        key.removeprefix(LISTENERS): int(value)
+        for key, value in metrics.items()
+        if key.startswith(LISTENERS) and value.isdecimal() and len(value) < 10
+    }
 
 
 def lower(pid: int) -> None:

@@ -22,10 +22,10 @@ from rn_standard.switching.gap import Gap
 from rn_standard.switching.standby import (
     ACT_FROM,
     ACT_UNTIL,
-    LISTENERS,
     NEVER_NS,
     PLAY_FROM,
     PLAY_UNTIL,
+    listeners,
     lower,
 )
 from rn_standard.switching.switch_checks import SwitchCheck
@@ -377,11 +377,5 @@ class WarmSwitch:
         return self._standbys.slots(self._kind)[0]
 
 
-def _listeners(report: Report | None) -> dict[str, int]:
-    """Number of subscriptions of a module's outputs, by topic."""
-    metrics = {} if report is None else report.metrics
-    return {
-        key.removeprefix(LISTENERS): int(value)
-        for key, value in metrics.items()
-        if key.startswith(LISTENERS)
-    }
+def _listeners(report: Report | None) -> Mapping[str, int]:
+    return {} if report is None else listeners(report.metrics)

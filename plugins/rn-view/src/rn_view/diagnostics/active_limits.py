@@ -19,7 +19,7 @@ def limit_counts(metrics: Mapping[str, str]) -> dict[str, int]:
     return {
         key.removeprefix(_COUNTER): int(value)
         for key, value in metrics.items()
-        if key.startswith(_COUNTER) and value.isdecimal()
+        if key.startswith(_COUNTER) and value.isdecimal() and len(value) < 10
     }
 
 

@@ -117,7 +117,10 @@ def _open_compressed(message: CompressedImage) -> PIL.Image.Image:
                 f"A compressed image of {image.width}x{image.height} is too large to be shown."
             )
         image.load()
-    except (UnidentifiedImageError, OSError, SyntaxError, ValueError) as error:
+    except (
+        *(UnidentifiedImageError, OSError, SyntaxError, ValueError),
+        Image.DecompressionBombError,  # raised before the size can be read
+    ) as error:
         raise InvalidInputError(
             f"A compressed image of {len(message.data)} bytes with the format "
             f"{message.format[:60]!r} cannot be read: "
