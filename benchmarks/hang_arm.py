@@ -12,7 +12,21 @@ from pathlib import Path
 from typing import Any
 
 import psutil
-from hang_parts import ENDED_S, NEVER, REST_S, TOLD, Hangs, HungClient, alive, until, whole, words
+from hang_parts import (
+    ENDED_S,
+    NEVER,
+    REST_S,
+    STOPPED_S,
+    TOLD,
+    Hangs,
+    HungClient,
+    alive,
+    press,
+    release,
+    until,
+    whole,
+    words,
+)
 from lost_cell import KINDS, Witness
 
 SETTLED_S = 8.0
@@ -95,6 +109,7 @@ class Arm:
 
         self.hangs.tell(pid, told, parent, close)
         ends: dict[str, Any] = {}
+        pressed_s = press(self.folder, self._environment) if told == "estop" else 0.0
         try:
             until(lambda: not alive(pid), ENDED_S, "the end")
             ends["ended_s"] = round(time.monotonic() - hung_s, 2)
@@ -112,6 +127,11 @@ class Arm:
             ends["rest_s"] = round(self.last_motion_s(hung_s), 2)
             if ends["rest_s"] > REST_S:
                 problems.append(f"the arm moved for {ends['rest_s']} s")
+        if told == "estop":
+            ends["stopped_s"] = round(self.last_motion_s(pressed_s), 2)
+            if process == "server" and ends["stopped_s"] > STOPPED_S:
+                problems.append(f"the arm moved for {ends['stopped_s']} s after the stop")
+            release(self.folder)
         if process in KINDS and told in TOLD[:4] and phase == "motion":
             client = self.served()
             until(lambda: client.modules()[process]["phase"] != "running", 10.0, "its exit")

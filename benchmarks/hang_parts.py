@@ -17,6 +17,8 @@ from typing import Any
 import psutil
 from lost_cell import FR3, KINDS
 
+from roboneuron.estop import ESTOP_FILE, EmergencyStopLatch
+from roboneuron.gate.audit import AuditLog
 from roboneuron.hang_watch import END_SIGNAL
 
 BOUND_S = 3.0
@@ -25,7 +27,9 @@ REST_S = 3.0
 ENDED_S = 25.0
 """The bound while something loads, the stop of a module, and a busy machine."""
 START_S = 120.0
-TOLD = ("nothing", "SIGTERM", "SIGINT", "SIGUSR1", "stdin", "parent")
+TOLD = ("nothing", "SIGTERM", "SIGINT", "SIGUSR1", "stdin", "parent", "estop")
+STOPPED_S = 0.6
+"""The command `roboneuron estop` presses the latch file, which modules look at every 20 ms."""
 PROCESSES = ("server", *KINDS, "recorder", "view", "twin", "policy front", "policy model")
 NEVER = {"kind": "tcp_in", "lower_m": [9, 9, 9], "upper_m": [10, 10, 10]}
 CONFIG = (
@@ -203,6 +207,27 @@ class Hangs:
             close()
         elif told == "parent":
             os.kill(parent, signal.SIGKILL)
+
+
+def press(folder: Path, environment: dict[str, str]) -> float:
+    """Stop with the command line; returns the monotonic time at which the file was there [s]."""
+    command = [sys.executable, "-m", "roboneuron.cli.main", "estop"]
+    command += ["--config", str(folder / "roboneuron.toml")]
+    pressed = subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL)
+    until(lambda: any((folder / "state").rglob(ESTOP_FILE)), 30.0, "the latch file")
+    found_s = time.monotonic()
+    if pressed.wait(30.0) != 0:
+        raise RuntimeError(f"roboneuron estop ended with {pressed.returncode}")
+    return found_s
+
+
+def release(folder: Path) -> None:
+    """Release the stop, as a person does."""
+    for path in (folder / "state").rglob(ESTOP_FILE):
+        with contextlib.closing(AuditLog(folder / "release.jsonl", time.time_ns)) as audit:
+            latch = EmergencyStopLatch(path, time.time_ns)
+            latch.is_latched()
+            latch.reset(who="hang", role="admin", audit=audit)
 
 
 def whole(state: Path) -> list[str]:

@@ -78,3 +78,15 @@ def test_it_handles_the_signal_of_its_watch(name: str, tmp_path: Path) -> None:
             )
         finally:
             child.kill()
+
+
+@pytest.mark.ros
+@pytest.mark.slow
+@pytest.mark.timeout(400)
+def test_the_command_line_stops_the_arm_of_a_server_that_hangs(tmp_path: Path) -> None:
+    """SIGUSR1 does not; benchmarks/hang_matrix.py judges the time."""
+    benchmark = Path(__file__).parents[1] / "benchmarks" / "hang_matrix.py"
+    chosen = ["--processes", "server", "--phases", "motion", "--told", "estop"]
+    command = [sys.executable, str(benchmark), "--folder", str(tmp_path), *chosen]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr

@@ -22,6 +22,7 @@ from rn_link_pairing.keeping import add_member, become_hub, become_member
 from rn_testing.waiting import wait_until
 from roboneuron import ConfigurationError
 from roboneuron.feature import Config
+from roboneuron.hang_watch import END_SIGNAL
 
 PEER = Peer("10.1.2.3", 7500)
 CONFIG = Config.model_construct()
@@ -112,6 +113,13 @@ def relays() -> list[psutil.Process]:
     return [one for one in living if "rn_link.relay" in one.cmdline()]
 
 
+def is_watched(process: psutil.Process) -> bool:
+    """True if it handles the signal that ends a process whose interpreter hangs (proc(5))."""
+    status = Path(f"/proc/{process.pid}/status").read_text()
+    caught = next(line for line in status.splitlines() if line.startswith("SigCgt"))
+    return bool(int(caught.split()[1], 16) >> (END_SIGNAL - 1) & 1)
+
+
 def test_one_of_several_processes_keeps_the_relay_and_another_follows(folder: Path) -> None:
     hub(folder)
     keepers = [RelayKeeper(folder) for _ in range(3)]
@@ -119,6 +127,7 @@ def test_one_of_several_processes_keeps_the_relay_and_another_follows(folder: Pa
         keepers[0].start()
         wait_until(lambda: len(relays()) == 1, 10.0, "the first relay")
         (first,) = relays()
+        wait_until(lambda: is_watched(first), 10.0, "its watch for hangs")
         for keeper in keepers[1:]:
             keeper.start()
         keepers[0].close()
