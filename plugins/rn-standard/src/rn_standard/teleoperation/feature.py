@@ -77,8 +77,8 @@ class Teleoperation(Feature[None]):
         with self._lock:
             self._lent = {key: value for key, value in self._lent.items() if key != name}
 
-    def begin(self, arguments: LeadArm, context: CallContext) -> LeadResult:
-        """Begin a lead; blocks until control follows it.
+    def begin(self, arguments: LeadArm, context: CallContext, halt: threading.Event) -> LeadResult:
+        """Begin a lead, which ends when `halt` is set; blocks until control follows it.
 
         Raises:
             InvalidInputError: the teleoperator is unknown, or cannot lead this robot.
@@ -97,7 +97,7 @@ class Teleoperation(Feature[None]):
                     hint="Call hand_back first.",
                     rule="lead",
                 )
-            lead = self._made(arguments, context)
+            lead = self._made(arguments, context, halt)
             self._lead = lead
         lead.begin()
         text = host.loop.starts.instruction
@@ -152,7 +152,7 @@ class Teleoperation(Feature[None]):
             self._host.loop.set_parameters("inference", values, _TOLD_S, _TOLD_S)
         return starts.instruction
 
-    def _made(self, arguments: LeadArm, context: CallContext) -> Lead:
+    def _made(self, arguments: LeadArm, context: CallContext, halt: threading.Event) -> Lead:
         """Create a lead without starting it. Raises as `begin`."""
         host = self._host
         robot = host.config.robot.name
@@ -185,6 +185,7 @@ class Teleoperation(Feature[None]):
             context,
             may_lead,
             self._on_end,
+            halt,
         )
 
     def _speeds(self) -> LeadSpeeds:

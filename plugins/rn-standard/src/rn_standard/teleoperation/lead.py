@@ -52,6 +52,7 @@ class Lead:
         context: CallContext,
         may_lead: Callable[[], object],
         on_end: Callable[[Lead], object],
+        halt: threading.Event,
     ) -> None:
         """Args:
         session: session of this lead.
@@ -63,6 +64,7 @@ class Lead:
         may_lead: raises RefusedError if its client may no longer act because another one operates
             the robot.
         on_end: called after its end.
+        halt: ends it when set, as when the call that began it is cancelled.
         """
         self.session, self.who, self.source_name = session, context.who, source_name
         self.acting: Acting | None = None
@@ -71,7 +73,7 @@ class Lead:
         self._may_lead, self._on_end = may_lead, on_end
         self._answered = threading.Event()
         self._ended = threading.Event()
-        self._halt = threading.Event()
+        self._halt = halt
         self._wants_back = threading.Event()
         self._hears_back = threading.Event()
         first = session.row(time.monotonic(), {}).to_message()

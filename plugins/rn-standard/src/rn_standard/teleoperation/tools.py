@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from typing import Literal
 
 from pydantic import Field
 
 from roboneuron import Arguments, CallContext, NoArguments, Result, Tool
-from roboneuron.feature import Stage
 
 
 class LeadArm(Arguments):
@@ -31,7 +31,7 @@ class LeadResult(Result):
     policy: str = Field(default="", description="instruction that goes on after the hand-back")
 
 
-Begin = Callable[[LeadArm, CallContext], LeadResult]
+Begin = Callable[[LeadArm, CallContext, threading.Event], LeadResult]
 End = Callable[[CallContext], LeadResult]
 
 
@@ -39,16 +39,14 @@ def lead_tools(begin: Begin, end: End, choices: Callable[[], dict[str, str]]) ->
     """Create both tools.
 
     Args:
-        begin: starts a lead; blocks.
+        begin: starts a lead, which ends when the event is set; blocks.
         end: hands back; blocks.
         choices: returns teleoperators by name, with their summaries.
     """
 
     async def lead_arm(arguments: LeadArm, context: CallContext) -> LeadResult:
-        def work(stage: Stage) -> LeadResult:
-            return begin(arguments, context)
-
-        return await context.run(work)
+        halt = threading.Event()
+        return await context.run(lambda stage: begin(arguments, context, halt), on_cancel=halt.set)
 
     async def hand_back(_: NoArguments, context: CallContext) -> LeadResult:
         return await context.run(lambda stage: end(context))
