@@ -58,10 +58,12 @@ class ArmCell:
         named = enumerate(self.commanded)
         return tuple(name for number, name in named if number not in self.grippers)
 
-    def opening(self, measured: F64) -> float:
+    def opening(self, measured: F64) -> float | None:
         """Opening of the first gripper, 0 closed .. 1 open, from positions in the order of
-        `joints`.
+        `joints`; None without a gripper.
         """
+        if not self.grippers:
+            return None
         gripper = self.grippers[0]
         closed, opened = self.lower[gripper], self.upper[gripper]
         share = (measured[self.followed.index(gripper)] - closed) / (opened - closed)

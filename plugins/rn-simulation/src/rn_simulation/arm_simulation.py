@@ -224,8 +224,8 @@ class CellSimulation(ABC):
             stamp_ns=round(self.time_s * 1e9),
         )
 
-    def gripper_open(self) -> float:
-        """Measured opening of the first arm's gripper, 0 closed .. 1 open."""
+    def gripper_open(self) -> float | None:
+        """Measured opening of the first gripper, 0 closed .. 1 open; None without one."""
         return self._arms.opening(self.joint_positions())
 
     def cubes(self) -> dict[str, CubeState]:

@@ -44,7 +44,10 @@ class Arm:
             name: SimpleNamespace(call=self._caller(name)) for name in ("move_joints", "move_ee")
         }
         self.starts = SimpleNamespace(arm_stops=0, reason="a reflex")
-        self.host: Any = SimpleNamespace(tools=self, loop=SimpleNamespace(starts=self.starts))
+        running = SimpleNamespace(view=lambda kind: SimpleNamespace(report=None))
+        self.host: Any = SimpleNamespace(
+            tools=self, loop=SimpleNamespace(starts=self.starts), modules=running
+        )
 
     def get(self, name: str) -> Any:
         return self.tools.get(name)
@@ -75,7 +78,10 @@ class Arm:
 
 @pytest.fixture
 def arm(monkeypatch: pytest.MonkeyPatch) -> Arm:
-    profile = SimpleNamespace(home_rad=np.array([0.1, 0.2]), arm_joints=("a", "b"), arms=())
+    each = [SimpleNamespace(name=name, gripper="finger") for name in ("", "left", "right")]
+    profile = SimpleNamespace(
+        home_rad=np.array([0.1, 0.2]), arm_joints=("a", "b"), arms=(), each_arm=each
+    )
     monkeypatch.setattr(moving, "profile_of", lambda host: profile)
     return Arm()
 
@@ -180,10 +186,9 @@ def test_what_is_left_of_a_way_is_not_made_after_a_stop(arm: Arm) -> None:
 def test_the_arm_that_a_place_names_goes_there(arm: Arm, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(InvalidInputError, match="'beside' names the arm 'right'"):
         arm.move_to("beside")
-    arms = (SimpleNamespace(name="left"), SimpleNamespace(name="right"))
-    monkeypatch.setattr(
-        moving, "profile_of", lambda host: SimpleNamespace(home_rad=None, arms=arms)
-    )
+    arms = [SimpleNamespace(name=name, gripper="finger") for name in ("left", "right")]
+    pair = SimpleNamespace(home_rad=None, arms=arms, each_arm=arms)
+    monkeypatch.setattr(moving, "profile_of", lambda host: pair)
     arm.move_to("beside")
     assert arm.asked == {"right"}
     assert {call[1]["arm"] for call in arm.calls} == {"right"}

@@ -14,6 +14,7 @@ from rn_standard.direct_path.exposed import check_no_preview
 from rn_standard.tasks.approval import Approval
 from rn_standard.tasks.options import PlaceOptions, PostureOptions, TasksSections
 from rn_standard.tasks.run_task import profile_of
+from rn_standard.tools_arm.grip import check_gripper
 from roboneuron import (
     Arguments,
     ArmProfile,
@@ -149,6 +150,8 @@ class Mover:
             )
         arm: dict[str, object] = {"arm": place.arm} if place.arm else {}
         gripper = {} if place.gripper_open is None else {"gripper_open": place.gripper_open}
+        if gripper:
+            check_gripper(self._host, profile_of(self._host), place.arm)
         for _ in range(_PARTS):
             position, rotation = await context.run(lambda _: self._pose_now(place.arm))
             if self._host.loop.starts.arm_stops != stops:

@@ -37,6 +37,7 @@ from rn_standard.tasks.runner import Outcome, Task, TaskEnd, TaskPlan
 from rn_standard.tasks.stepped import SteppedCell
 from rn_standard.tasks.task_result import TaskResult, task_result
 from rn_standard.tasks.task_watch import Notify, TaskWatch, WatchMaker
+from rn_standard.tools_arm.grip import check_gripper
 from roboneuron import (
     Arguments,
     CallContext,
@@ -150,6 +151,7 @@ class TaskTool:
         )
         for kind in ("robot", "control"):
             self._host.modules.require_running(kind)
+        self._check_grippers(predicate, profile)
         await self._approval.ask("run_task", f"Let the robot carry out {instruction!r}?", context)
         plan = self._plan(arguments)
         halt = threading.Event()
@@ -202,7 +204,17 @@ class TaskTool:
             return None, plan
         predicate = parse_predicate(arguments.until)
         topics_of(predicate)
-        return judge_of(predicate, arguments.instruction, profile, self._new_monitor), plan
+        judge = judge_of(predicate, arguments.instruction, profile, self._new_monitor)
+        self._check_grippers(predicate, profile)
+        return judge, plan
+
+    def _check_grippers(self, predicate: Predicate | None, profile: RobotProfile | None) -> None:
+        """Raise RefusedError if a predicate asks for a gripper that is not there: it would never
+        become true.
+        """
+        for part in () if predicate is None else flat(predicate):
+            if isinstance(part, GripperHolds):
+                check_gripper(self._host, profile, part.arm)
 
     def _plan(self, arguments: RunTask) -> TaskPlan:
         options = self._options

@@ -8,7 +8,7 @@ import math
 import time
 
 from rn_standard.tools_arm.grip_reports import commanded_opening
-from roboneuron import GripperProfile, Host, NotReadyError, RefusedError
+from roboneuron import GripperProfile, Host, NotReadyError, RefusedError, RobotProfile
 from roboneuron.feature import ExposedEndpoint, MotionGate, Report
 
 _MEASURED_S = 2.0
@@ -45,9 +45,7 @@ class Grip:
     @property
     def profile(self) -> GripperProfile | None:
         """The gripper of the arm; None without one."""
-        profile = self._exposed.profile
-        arms = () if profile is None else profile.each_arm
-        return next((arm.gripper for arm in arms if arm.name == self.arm), None)
+        return _gripper_of(self._exposed.profile, self.arm)
 
     def commanded(self) -> float | None:
         """The last commanded opening, 0 closed .. 1 open; None if there was none since the robot
@@ -73,18 +71,12 @@ class Grip:
         """The arm has no gripper: by its profile, or because its driver reports that it drives
         none.
         """
-        return self.profile is None or self._detail("no_gripper") == "true"
+        return _is_missing(self._exposed.profile, self._report(), self.arm)
 
     def check_fitted(self) -> None:
         """Raise RefusedError for an arm without a gripper."""
         if self.is_missing:
-            subject = f"The arm {self.arm!r}" if self.arm else "This robot"
-            raise RefusedError(
-                f"{subject} has no gripper.",
-                hint="Move the arm without it; if it has one, its driver has to be told by its "
-                "options.",
-                rule="no_gripper",
-            )
+            raise _no_gripper(self.arm)
 
     def measured(self) -> float:
         """The measured opening. Raises NotReadyError."""
@@ -137,15 +129,51 @@ class Grip:
 
     def _detail(self, name: str) -> str:
         """A fact of the driver on this arm; empty if it reports none."""
-        report = self._report()
-        key = f"{self.arm}/{name}" if self.arm else name
-        return "" if report is None else report.detail.get(key, "")
+        return _detail(self._report(), self.arm, name)
 
     def _report(self) -> Report | None:
         """Report of the module of this robot."""
         if self._exposed.namespace != self._host.config.namespace:
             return None
         return self._host.modules.view("robot").report
+
+
+def check_gripper(host: Host, profile: RobotProfile | None, arm: str) -> None:
+    """Raise RefusedError for an arm of the present robot that has no gripper, by its profile or by
+    what its driver reports.
+
+    Args:
+        host: of the feature.
+        profile: of the robot.
+        arm: name of one of several arms; "" for the only or first one.
+    """
+    arms = () if profile is None else profile.arms
+    named = arm or (arms[0].name if arms else "")
+    if _is_missing(profile, host.modules.view("robot").report, named):
+        raise _no_gripper(arm)
+
+
+def _gripper_of(profile: RobotProfile | None, arm: str) -> GripperProfile | None:
+    arms = () if profile is None else profile.each_arm
+    return next((one.gripper for one in arms if one.name == arm), None)
+
+
+def _detail(report: Report | None, arm: str, name: str) -> str:
+    key = f"{arm}/{name}" if arm else name
+    return "" if report is None else report.detail.get(key, "")
+
+
+def _is_missing(profile: RobotProfile | None, report: Report | None, arm: str) -> bool:
+    return _gripper_of(profile, arm) is None or _detail(report, arm, "no_gripper") == "true"
+
+
+def _no_gripper(arm: str) -> RefusedError:
+    subject = f"The arm {arm!r}" if arm else "This robot"
+    return RefusedError(
+        f"{subject} has no gripper.",
+        hint="Move the arm without it; if it has one, its driver has to be told by its options.",
+        rule="no_gripper",
+    )
 
 
 def is_blocked(opening: float, commanded: float) -> bool:
