@@ -13,7 +13,7 @@ import anyio
 import pytest
 
 from rn_recorder.process import RecorderProcess
-from rn_recorder.tools import RecordingEnds, StopRecording, recording_tools
+from rn_recorder.tools import RecordingEnds, StartRecording, StopRecording, recording_tools
 from rn_recorder_runs.store import RunStore
 from roboneuron import NotReadyError, StateError
 
@@ -136,3 +136,52 @@ def test_the_time_of_an_older_recording_ends_no_newer_one(
     ends._end("run-1")
     assert silent.orders == [{"do": "stop", "run": "run-1", "facts": {}}]
     assert silent.resumed == ["run-2", "run"]
+
+
+class Obedient(Silent):
+    """A recorder that begins and ends `run-3`, and tells when it has ended."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.ended = threading.Event()
+
+    def ask(self, order: dict[str, Any], timeout_s: float) -> dict[str, Any]:
+        self.orders.append(order)
+        if order["do"] == "stop":
+            self.ended.set()
+        return {"id": "run-3"}
+
+
+class Cancelled(Context):
+    """A call that is cancelled before or after its work is done."""
+
+    def __init__(self, *, before: bool) -> None:
+        self._before = before
+
+    async def run(
+        self,
+        work: Callable[[Callable[[str], None]], Any],
+        *,
+        on_cancel: Callable[[], object] = lambda: None,
+    ) -> Any:
+        if self._before:
+            on_cancel()
+        work(lambda _: None)
+        if not self._before:
+            on_cancel()
+        raise StateError("cancelled")
+
+
+@pytest.mark.parametrize("before", [True, False])
+def test_a_recording_whose_start_is_cancelled_ends(
+    ends: RecordingEnds, tmp_path: Path, before: bool
+) -> None:
+    recorder = Obedient()
+    process = cast("RecorderProcess", recorder)
+    start = recording_tools(RunStore(tmp_path), lambda: process, True, ends)[0]
+    context: Any = Cancelled(before=before)
+    with pytest.raises(StateError, match="cancelled"):
+        anyio.run(start.handler, StartRecording(duration_s=LATE_S), context)
+    assert recorder.ended.wait(10.0)
+    assert recorder.orders[-1]["run"] == "run-3"
+    assert recorder.resumed == ["", ""]

@@ -211,10 +211,22 @@ def recording_tools(
     async def start_recording(arguments: StartRecording, context: CallContext) -> StartedRecording:
         facts = {"note": arguments.note, "who": context.who, "outcome": "unknown"}
         order = {"do": "start", "name": arguments.name, "facts": facts}
-        answer = await context.run(lambda _: ask(order))
-        recorder().resume_with(answer["id"], arguments.name)
-        ends.after(arguments.duration_s, answer["id"])
-        return StartedRecording(id=answer["id"], directory=str(store.recordings / answer["id"]))
+        begun, halt = list[str](), threading.Event()
+
+        def begin() -> str:
+            run = str(ask(order)["id"])
+            recorder().resume_with(run, arguments.name)
+            begun.append(run)  # before `halt` is read, as `cancel` sets it before it reads this
+            ends.after(0.0 if halt.is_set() else arguments.duration_s, run)
+            return run
+
+        def cancel() -> None:
+            halt.set()
+            for run in begun:
+                ends.after(0.0, run)
+
+        run = await context.run(lambda _: begin(), on_cancel=cancel)
+        return StartedRecording(id=run, directory=str(store.recordings / run))
 
     async def stop_recording(arguments: StopRecording, context: CallContext) -> StoppedRecording:
         facts: dict[str, object] = {"outcome": arguments.outcome}
