@@ -51,8 +51,12 @@ def install(folder: Path) -> dict[str, str]:
     }
 
 
-def start_server(state: Path, more: str = "") -> tuple[subprocess.Popen[bytes], str]:
-    """Start the server with the default configuration and `more`; return when it listens."""
+def start_server(
+    state: Path, more: str = "", domain: int | None = None
+) -> tuple[subprocess.Popen[bytes], str]:
+    """Start the server with the default configuration and `more`, on a ROS domain (a free one by
+    default); return when it listens.
+    """
     from roboneuron.config import default_text
 
     configuration = state / "roboneuron.toml"
@@ -70,7 +74,7 @@ def start_server(state: Path, more: str = "") -> tuple[subprocess.Popen[bytes], 
         "--port",
         str(port),
     ]
-    environment = {**os.environ, "ROS_DOMAIN_ID": str(free_ros_domain())}
+    environment = {**os.environ, "ROS_DOMAIN_ID": str(domain or free_ros_domain())}
     log = (state / "server.log").open("wb")
     process = subprocess.Popen(
         [*command, "--config", str(configuration)], env=environment, stderr=log

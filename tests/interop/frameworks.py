@@ -1,7 +1,8 @@
 """The MCP clients of public frameworks against our server, each in an environment of its own.
 
 Run by `make test-frameworks`; prints a row for each: list tools, call one, get an image, show the
-reason of an error, progress, cancel a call that drives. `tests/interop/clients` has their scripts.
+reason of an error, progress, cancel a call that drives. What drives is judged by the commands that
+the wheels receive.
 """
 
 from __future__ import annotations
@@ -13,15 +14,21 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
 from collections.abc import Sequence
 from pathlib import Path
 
 from check import start_server
 
+from rn_testing.domain import free_ros_domain
+from rn_testing.fakes.wheels import CommandedWheels
+from roboneuron.ros.environment import prepare_environment
+
 HERE = Path(__file__).parent
 STEPS = ("list", "call", "image", "error", "progress", "cancel")
 REVISIONS = ("2024-11-05", "2025-03-26", "2025-06-18", "2025-11-25")
 TOKEN = "the-token-of-this-test"
+LONGEST_S = 300.0
 CONFIG = """
 [[http.tokens]]
 name = "client"
@@ -36,31 +43,49 @@ require_subscriber = false
 """
 
 
-def try_client(
-    arguments: Sequence[str], environment: dict[str, str]
-) -> dict[str, tuple[bool, str]]:
-    """Outcome of each step of a client's script."""
-    name, *rest = arguments
-    python = HERE.parents[1] / f".venv-client-{name}" / "bin" / "python"
-    command = [str(python), str(HERE / "clients" / f"{name}_client.py"), *rest]
+def try_client(arguments: Sequence[str], domain: int) -> dict[str, tuple[bool, str]]:
+    """Outcome of each step of a client, whose server is on a ROS domain."""
+    python = HERE.parents[1] / f".venv-client-{arguments[0]}" / "bin" / "python"
+    wheels = CommandedWheels(domain, "fr3")
+    process = subprocess.Popen(
+        [str(python), str(HERE / "clients.py"), *arguments],
+        env={**os.environ, "ROS_DOMAIN_ID": str(domain)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    said: list[str] = []
+    assert process.stdout is not None
+    assert process.stderr is not None
+    errors = process.stderr
+    reading = threading.Thread(target=lambda: said.extend(errors), daemon=True)
+    reading.start()
+    ending = threading.Timer(LONGEST_S, process.kill)
+    ending.start()
+    found: dict[str, tuple[bool, str]] = {}
     try:
-        done = subprocess.run(
-            command, env=environment, capture_output=True, text=True, timeout=300, check=False
-        )
-    except subprocess.TimeoutExpired:
-        return dict.fromkeys(STEPS, (False, "not done within 300 s"))
-    found = {}
-    for line in done.stdout.splitlines():
-        if line.startswith('{"step"'):
-            told = json.loads(line)
-            found[told["step"]] = (told["good"], told["said"])
-    last = done.stderr.strip().splitlines()[-1:] or ["it said nothing"]
+        for line in process.stdout:
+            if line.startswith('{"step"'):
+                told = json.loads(line)
+                found[told["step"]] = (told["good"], told["said"])
+                if told["step"] == "cancel" and told["good"]:
+                    has_driven, rests = any(wheels.speeds), wheels.speeds[-1:] == [0.0]
+                    words = f"{told['said']}; the wheels {'rest' if rests else 'TURN'}"
+                    found["cancel"] = (has_driven and rests, words)
+        process.wait()
+        reading.join(5.0)
+    finally:
+        ending.cancel()
+        process.kill()
+        process.wait()
+        wheels.close()
+    last = [line.strip() for line in said if line.strip()][-1:] or ["it said nothing"]
     return found or dict.fromkeys(STEPS, (False, last[0]))
 
 
-def report(name: str, arguments: Sequence[str], environment: dict[str, str]) -> bool:
+def report(name: str, arguments: Sequence[str], domain: int) -> bool:
     """Try a client, print a line for each step; return True if all passed."""
-    found = try_client(arguments, environment)
+    found = try_client(arguments, domain)
     for step in STEPS:
         good, said = found.get(step, (False, "not reached"))
         print(f"{name:24} {step:9} {'pass' if good else 'FAIL'}  {said}", flush=True)
@@ -74,21 +99,26 @@ def main() -> int:
     names = parser.parse_args().names
     ours = [sys.executable, "-m", "roboneuron.cli.main"]
     with tempfile.TemporaryDirectory(prefix="roboneuron-frameworks-") as folder:
-        os.environ["TEST_TOKEN"] = TOKEN
-        environment = {**os.environ, "ROBONEURON_TOKEN": TOKEN}
-        server, url = start_server(Path(folder), CONFIG)
+        prepare_environment(Path(folder) / "ros")
+        os.environ |= {"TEST_TOKEN": TOKEN, "ROBONEURON_TOKEN": TOKEN}
+        domain = free_ros_domain()
+        server, url = start_server(Path(folder), CONFIG, domain)
         try:
             for tool in ("start_robot", "start_perception"):
-                call = [*ours, "call", tool, "--url", url]
-                subprocess.run(call, env=environment, check=True, capture_output=True)
+                subprocess.run([*ours, "call", tool, "--url", url], check=True, capture_output=True)
             rows = [(name, [name, url]) for name in names if name != "mcp"]
             if "mcp" in names:
                 rows += [(f"mcp {one} http", ["mcp", url, one]) for one in REVISIONS]
-            passed = [report(name, arguments, environment) for name, arguments in rows]
+            passed = [report(name, arguments, domain) for name, arguments in rows]
         finally:
             server.send_signal(signal.SIGTERM)
             code = server.wait(60)
         print(f"the server ends on SIGTERM with status {code}")
+        if "mcp" in names:  # each with a server and a robot of its own
+            serve = [*ours, "serve", "--config", str(Path(folder) / "roboneuron.toml")]
+            for one in REVISIONS:
+                row = ["mcp", "stdio", one, *serve]
+                passed.append(report(f"mcp {one} stdio", row, free_ros_domain()))
     return 0 if all(passed) and code == 0 else 1
 
 

@@ -93,6 +93,11 @@ KILTED_PYTHON = os.environ.get("KILTED_PYTHON", PYTHON_3_12)
 LEROBOT_PYTHON = os.environ.get("LEROBOT_PYTHON", PYTHON_3_12)
 CLIENTS = {
     "mcp": ("mcp==1.30.0",),
+    "fastmcp": ("fastmcp==4.2.3",),
+    "langchain": ("langchain-mcp-adapters==0.3.2",),
+    "strands": ("strands-agents==1.62.0",),
+    "adk": ("google-adk[mcp]==2.13.0",),
+    "openai": ("openai-agents==0.24.0",),
 }
 """Packages whose MCP clients are tried, by the name of their script in tests/interop/clients."""
 ENVIRONMENTS = {
