@@ -17,7 +17,7 @@ from plugin_site import installed
 from shared_memory import repaired
 
 from rn_standard.execution.plugin import FEATURE as EXECUTION
-from rn_standard.selection.choosing import choose
+from rn_standard.selection.feature import chosen_forms
 from rn_standard.selection.requests import StartChosenInference
 from rn_standard.switching.plugin import FEATURE as SWITCHING
 from roboneuron.config import parse_config
@@ -207,7 +207,7 @@ def standing_loop(
             witness = JointWitness(link.node, link.on_executor, config.namespace)
             with repaired(supervisor):
                 loop = ClosedLoop(config, discover, supervisor)
-                loop.choose = choose
+                loop.accept(chosen_forms(lambda: loop.registry))
                 yield loop, witness
         finally:
             supervisor.close()

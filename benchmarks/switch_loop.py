@@ -18,7 +18,7 @@ from shared_memory import repaired
 from switch_plugin import named_by
 
 from rn_standard.execution.plugin import FEATURE as EXECUTION
-from rn_standard.selection.choosing import choose
+from rn_standard.selection.feature import chosen_forms
 from rn_standard.selection.requests import StartChosenInference
 from rn_standard.switching.plugin import FEATURE as SWITCHING
 from rn_standard.switching.replacing import Switching
@@ -190,7 +190,7 @@ def moving_loop(
         supervisor.on_join = (EXECUTION.on_join or "", SWITCHING.on_join or "")
         try:
             loop = ClosedLoop(config, discover, supervisor)
-            loop.choose = choose
+            loop.accept(chosen_forms(lambda: loop.registry))
             switching = Switching(loop)
             witness = Witness(supervisor, config.namespace)
             loop.start("robot")

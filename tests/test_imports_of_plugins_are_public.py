@@ -120,9 +120,10 @@ def test_plugins_import_only_what_is_public_of_the_core():
     assert [breach for _, packages in _plugins() for breach in _private_imports(packages)] == []
 
 
-MOST_NAMES = {"roboneuron.feature": 69, "roboneuron.command": 67, "roboneuron.node": 34}
+MOST_NAMES = {"roboneuron.feature": 76, "roboneuron.command": 67, "roboneuron.node": 34}
 """Maximum numbers for code in the server, for commands and for modules; they only decrease, unless
-code of the core becomes a feature.
+code of the core becomes a feature, or what a feature reached into becomes a typed declaration (the
+seven names of the chain of interceptors).
 """
 
 

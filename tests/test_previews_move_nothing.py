@@ -335,10 +335,7 @@ def test_without_the_feature_a_call_with_preview_is_refused_and_never_carried_ou
     tool: str,
     arguments: dict[str, Any],
 ) -> None:
-    middleware = application.server.middleware
-    own = [one for one in middleware if type(one).__name__ != "PreviewCalls"]
-    assert len(own) == len(middleware) - 1
-    monkeypatch.setattr(application.server, "middleware", own)
+    monkeypatch.setattr(application.tools.chain, "_simulator", None)
     answer = call(application, tool, preview=True, **arguments)
     assert answer.is_error
     assert answer.meta["roboneuron/error"]["rule"] == "preview"

@@ -53,7 +53,7 @@ EXPECTED = {
     "task": ("refused", "ownership"),
     "arguments": ("invalid_input", ""),
     "person": ("refused", "person"),
-    "handler": ("state", ""),
+    "handler": ("wrong_state", ""),
 }
 """What is wrong with a call, in the order of the phases: the code and the rule of the refusal."""
 PAIRS = [
@@ -61,7 +61,7 @@ PAIRS = [
     for pair in combinations(EXPECTED, 2)
     # only start_robot asks a person, and only set_instruction is refused during a task
     if pair != ("task", "person")
-]
+] + [("handler",)]
 
 
 class Caller:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rn_standard.selection.choosing import choose
+from rn_standard.selection.feature import chosen_forms
 from rn_standard.selection.requests import StartControl
 from rn_standard.switching.plugin import FEATURE as SWITCHING
 from rn_standard.switching.replacing import Switching
@@ -29,7 +29,7 @@ def test_the_joints_do_not_notice_a_new_controller(
     arm: Any, wait: Callable[[Callable[[], bool], float, str], float]
 ) -> None:
     loop = ClosedLoop(arm.config, discover, arm.supervisor)
-    loop.choose = choose
+    loop.accept(chosen_forms(lambda: loop.registry))
     arm.supervisor.on_join += (SWITCHING.on_join,)
     switching = Switching(loop)
     loop.start("robot")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from types import SimpleNamespace
 from urllib.error import URLError
 from urllib.request import urlopen
@@ -16,9 +15,11 @@ from rn_metrics.plugin import FEATURE
 from rn_standard.http.plugin import FEATURE as HTTP
 from rn_testing.fakes import fake_registry
 from roboneuron.config import parse_config
+from roboneuron.errors import RefusedError, StateError
 from roboneuron.gate.audit import AuditRecord
 from roboneuron.server.app import Application
-from roboneuron.server.registry import ERROR_META
+from roboneuron.server.interception import EndedCall, IncomingCall
+from roboneuron.server.tool import Answer
 
 CONFIG = """
 [robot]
@@ -69,24 +70,33 @@ def scrape(feature):
     }
 
 
-def call(feature, name, **answer):
-    context = SimpleNamespace(method="tools/call", params={"name": name})
-
-    async def next_one(_):
-        return {"isError": "code" in answer, "_meta": {ERROR_META: answer}}
-
-    anyio.run(feature.meters, context, next_one)
+def call(feature, name, outcome="answered", **ended):
+    asked = IncomingCall(
+        name=name,
+        arguments={},
+        context=SimpleNamespace(),
+        found=None if name.startswith("made up") else SimpleNamespace(),
+    )
+    feature.meters.on_call(EndedCall(call=asked, outcome=outcome, took_s=0.1, **ended))
 
 
 def test_calls_are_counted_by_tool_and_result(serve):
     _, feature = serve()
     call(feature, "get_status")
     call(feature, "get_status")
-    call(feature, "start_robot", code="state")
+    call(feature, "start_robot", error=StateError("It runs."))
+    call(feature, "start_robot", outcome="cancelled")
+    call(feature, "start_robot", outcome="asked")
     call(feature, "made up by a client")
     found = scrape(feature)
     assert found["roboneuron_tool_calls_total", ("result", "ok"), ("tool", "get_status")] == 2
-    assert found["roboneuron_tool_calls_total", ("result", "state"), ("tool", "start_robot")] == 1
+    assert (
+        found["roboneuron_tool_calls_total", ("result", "wrong_state"), ("tool", "start_robot")]
+        == 1
+    )
+    for result in ("cancelled", "ok"):
+        key = ("result", result), ("tool", "start_robot")
+        assert found["roboneuron_tool_calls_total", *key] == 1
     assert found["roboneuron_tool_calls_total", ("result", "ok"), ("tool", "unknown")] == 1
     assert found["roboneuron_tool_call_seconds_count", ("tool", "get_status")] == 2
 
@@ -145,14 +155,9 @@ def test_every_module_has_one_health(serve):
 
 
 def test_nothing_listens_unless_asked_for(serve):
-    application, feature = serve(prometheus=False)
+    _, feature = serve(prometheus=False)
     assert feature.port == 0
     assert feature.meters is None
-    assert not [
-        middleware
-        for middleware in application.server.middleware
-        if type(middleware).__name__ == "Meters"
-    ]
 
 
 def test_robots_of_one_server_share_an_endpoint_and_are_told_apart_by_a_label(serve):
@@ -206,24 +211,9 @@ def test_the_metrics_of_the_only_robot_name_it_too(serve):
 def test_tasks_are_counted_by_outcome(serve):
     _, feature = serve()
 
-    def run_task(outcome, **error):
-        context = SimpleNamespace(method="tools/call", params={"name": "run_task"})
-
-        async def ended(_):
-            return {
-                "isError": bool(error),
-                "structuredContent": {"outcome": outcome},
-                "_meta": {ERROR_META: error},
-            }
-
-        anyio.run(feature.meters, context, ended)
-
-    feature.meters._host.tools.add_all(
-        [replace(feature.meters._host.tools.get("get_status"), name="run_task")]
-    )
     for outcome in ("succeeded", "succeeded", "failed", "made up"):
-        run_task(outcome)
-    run_task("succeeded", code="refused")
+        call(feature, "run_task", answer=Answer(structured={"outcome": outcome}))
+    call(feature, "run_task", error=RefusedError("It is Monday.", rule="monday"))
     found = scrape(feature)
     assert found["roboneuron_tasks_total", ("outcome", "succeeded")] == 2
     assert found["roboneuron_tasks_total", ("outcome", "failed")] == 1

@@ -82,8 +82,17 @@ from .server.app import (
 from .server.host import (
     Events as Events,
 )
+from .server.interception import (
+    CallPhase as CallPhase,
+    EndedCall as EndedCall,
+    IncomingCall as IncomingCall,
+    Interceptor as Interceptor,
+    Proceed as Proceed,
+    Simulator as Simulator,
+)
 from .server.loop import (
     ClosedLoop as ClosedLoop,
+    StartForm as StartForm,
 )
 from .server.motion_gate import (
     Clamp as Clamp,
@@ -96,7 +105,6 @@ from .server.motion_gate import (
     Verdict as Verdict,
 )
 from .server.registry import (
-    ERROR_META as ERROR_META,
     ToolRegistry as ToolRegistry,
 )
 from .server.schema import (
@@ -106,6 +114,7 @@ from .server.surface import (
     make_server as make_server,
 )
 from .server.tool import (
+    Answer as Answer,
     Holder as Holder,
 )
 from .supervisor.changes import (

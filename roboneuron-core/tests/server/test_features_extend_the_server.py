@@ -24,6 +24,7 @@ from roboneuron import (
 from roboneuron.config import Config
 from roboneuron.errors import ConfigurationError, RefusedError, RoboNeuronError
 from roboneuron.server.app import Application
+from roboneuron.server.interception import CallPhase, Interceptor
 from roboneuron.server.tool import Transport
 
 TRACE: list[str] = []
@@ -88,12 +89,11 @@ class Pigeons(Feature[None]):
         if config.features:
             raise ConfigurationError("There is no loft.")
 
-    def tools(self, host: Host) -> list[Tool[Any]]:
-        def admit(tool: object, context: CallContext) -> None:
+    def interceptors(self, host: Host) -> list[Interceptor]:
+        def refuse(tool: object, context: CallContext) -> None:
             raise RefusedError(f"It is Monday, {context.who}.")
 
-        host.tools.admissions.append(admit)
-        return []
+        return [Interceptor(name="monday", phase=CallPhase.ARBITRATION, check=refuse)]
 
     def listen(self, host: Host) -> Transport:
         async def serve(leave: anyio.Event) -> None:

@@ -57,8 +57,7 @@ class MetricsFeature(Feature[MetricsOptions]):
             host.events.health.listen(meters.on_health)
             host.events.fault.listen(meters.on_fault)
             host.events.decision.listen(meters.on_decision)
-            # not available before
-            host.events.open.listen(lambda: host.server.middleware.append(meters))
+            host.events.call_ended.listen(meters.on_call)
         if self.options.traces:
             from rn_metrics.spans import Spans, otlp_exporter  # heavy
 

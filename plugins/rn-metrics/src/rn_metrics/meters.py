@@ -5,12 +5,11 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Mapping
 
-from mcp.server.context import CallNext, HandlerResult, ServerRequestContext
 from prometheus_client import CollectorRegistry, Counter, Histogram
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 
 from roboneuron import Host
-from roboneuron.feature import ERROR_META, EXPLANATIONS, FAULTS, AuditRecord, Health, ModuleView
+from roboneuron.feature import EXPLANATIONS, FAULTS, AuditRecord, EndedCall, Health, ModuleView
 
 OK = "ok"
 UNKNOWN = "unknown"
@@ -122,49 +121,26 @@ class Meters:
             self.stops.inc()
         self._latched = latched
 
-    async def __call__(self, ctx: ServerRequestContext, call_next: CallNext) -> HandlerResult:
-        """Count a tool call; see `mcp.server.context.ServerMiddleware`."""
-        if ctx.method != "tools/call" or not ctx.params:
-            return await call_next(ctx)
-        name = str(ctx.params.get("name"))
-        tool = name if self._host.tools.get(name) is not None else UNKNOWN
-        begun_s, result = time.monotonic(), "cancelled"
-        try:
-            answer = await call_next(ctx)
-            result = result_of(answer)
-            outcome = outcome_of(tool, answer)
-            if outcome:
-                self.tasks.labels(outcome).inc()
-                self.task_s.labels(outcome).observe(time.monotonic() - begun_s)
-            return answer
-        except Exception as error:
-            result = type(error).__name__
-            raise
-        finally:
-            self.calls.labels(tool, result).inc()
-            self.call_s.labels(tool).observe(time.monotonic() - begun_s)
-            if tool.startswith("switch_"):
-                self.switches.labels(tool.removeprefix("switch_"), result).inc()
+    def on_call(self, ended: EndedCall) -> None:
+        """Listener of `Events.call_ended`."""
+        tool = UNKNOWN if ended.call.found is None else ended.call.name
+        result = "cancelled" if ended.outcome == "cancelled" else ended.code or OK
+        self.calls.labels(tool, result).inc()
+        self.call_s.labels(tool).observe(ended.took_s)
+        if tool.startswith("switch_"):
+            self.switches.labels(tool.removeprefix("switch_"), result).inc()
+        outcome = outcome_of(ended)
+        if outcome:
+            self.tasks.labels(outcome).inc()
+            self.task_s.labels(outcome).observe(ended.took_s)
 
 
-def result_of(answer: object) -> str:
-    """Return `ok`, or the error code of a tool call; middleware gets answers in wire format."""
-    if not (isinstance(answer, Mapping) and answer.get("isError")):
-        return OK
-    details = (answer.get("_meta") or {}).get(ERROR_META, {})
-    return str(details.get("code", "error"))
-
-
-def outcome_of(tool: str, answer: object) -> str:
+def outcome_of(ended: EndedCall) -> str:
     """Outcome of a call's task; empty for other calls, and for a task that was not begun."""
-    if tool != TASK_TOOL or result_of(answer) != OK:
+    if ended.call.name != TASK_TOOL or ended.answer is None:
         return ""
-    told = (
-        str((answer.get("structuredContent") or {}).get("outcome", ""))
-        if isinstance(answer, Mapping)
-        else ""
-    )
-    return told if told in OUTCOMES else ""
+    outcome = str(ended.answer.structured.get("outcome", ""))
+    return outcome if outcome in OUTCOMES else ""
 
 
 class _Reports:

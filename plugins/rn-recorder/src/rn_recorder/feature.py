@@ -37,6 +37,7 @@ from roboneuron.feature import (
     EXPLANATIONS,
     FAULTS,
     Config,
+    EndedCall,
     Health,
     ModuleKind,
     ModuleView,
@@ -95,7 +96,7 @@ class Recorder(Feature[RecorderOptions]):
             host.events.health.listen(self._on_health)
             host.events.fault.listen(self._on_fault)
             host.events.change.listen(self._on_change)
-            host.events.call.listen(self._on_call)
+            host.events.call_ended.listen(self._on_call)
         tools = recording_tools(self._store, lambda: self._process, self.is_enabled, self._ends)
         if os.environ.get(SWITCH, "").lower() != PLAY:
             return tools
@@ -231,19 +232,20 @@ class Recorder(Feature[RecorderOptions]):
         ):
             threading.Thread(target=self._restart, name="recorder-restart", daemon=True).start()
 
-    def _on_call(
-        self, name: str, arguments: Mapping[str, object], who: str, code: str, took_s: float
-    ) -> None:
+    def _on_call(self, ended: EndedCall) -> None:
+        if ended.outcome != "answered":
+            return
+        arguments = ended.call.arguments
         text = json.dumps(arguments, default=str)
         kept: object = (
             arguments if len(text) <= _MOST_ARGUMENTS else {"begins": text[:_MOST_ARGUMENTS]}
         )
         facts = {
-            "tool": name,
+            "tool": ended.call.name,
             "arguments": kept,
-            "who": who,
-            "error": code,
-            "took_ms": round(took_s * 1e3, 2),
+            "who": ended.call.context.who,
+            "error": ended.code,
+            "took_ms": round(ended.took_s * 1e3, 2),
         }
         self._note("call", facts)
 

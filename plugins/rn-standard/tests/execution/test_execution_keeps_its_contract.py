@@ -5,13 +5,14 @@ executor.
 from __future__ import annotations
 
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
 from rn_standard.execution.adaptive import AdaptiveExecutor
 from rn_standard.execution.feature import join
 from rn_standard.execution.plugin import FEATURE
-from rn_standard.inference.execution import Bounds, executor_maker
+from rn_standard.inference.execution import Bounds, ExecutorMaker, executor_maker
 from rn_testing import FeatureCase, FeatureContract, PackageCase, PackageContract
 from roboneuron import ActionSpace, BackendSpec
 from roboneuron.errors import ConfigurationError
@@ -20,6 +21,15 @@ BACKEND = BackendSpec(
     name="plain", summary="x", target="x:X", action_space=ActionSpace(step_s=0.05)
 )
 BOUNDS = Bounds(first_s=0.5)
+
+
+def _joined() -> Any:
+    """A module that the feature has joined."""
+    parts: list[object] = []
+    host: Any = SimpleNamespace(provide=parts.append, provided=lambda kind: parts[0])
+    join(host)
+    assert isinstance(parts[0], ExecutorMaker)
+    return host
 
 
 class TestExecution(FeatureContract):
@@ -35,16 +45,14 @@ class TestPackage(PackageContract):
 
 
 def test_a_module_that_joins_gets_the_executor_of_this_package() -> None:
-    host = SimpleNamespace(lent={})
-    join(host)  # type: ignore[arg-type]
-    made = executor_maker(host)(BACKEND, "overlap", BOUNDS)
+    host = _joined()
+    made = executor_maker(host).make(BACKEND, "overlap", BOUNDS)
     assert isinstance(made, AdaptiveExecutor)
     assert made.values()["mode"] == "overlap"
 
 
 @pytest.mark.parametrize("mode", ["rtc", "predicted-state"])
 def test_a_mode_that_the_backend_cannot_do_is_refused(mode: str) -> None:
-    host = SimpleNamespace(lent={})
-    join(host)  # type: ignore[arg-type]
+    host = _joined()
     with pytest.raises(ConfigurationError, match=f"{mode!r}, which backend 'plain' cannot do"):
-        executor_maker(host)(BACKEND, mode, BOUNDS)
+        executor_maker(host).make(BACKEND, mode, BOUNDS)

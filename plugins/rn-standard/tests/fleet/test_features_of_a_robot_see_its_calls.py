@@ -1,6 +1,4 @@
-"""Middleware that a robot's features have appended sees the calls of that robot, as in a server of
-one robot.
-"""
+"""The chain and the events of a robot see the calls of that robot, as in a server of one robot."""
 
 from __future__ import annotations
 
@@ -13,32 +11,23 @@ import pytest
 from mcp import types
 
 from rn_standard.fleet.fleet import Fleet
+from roboneuron.feature import Answer, CallPhase, EndedCall, IncomingCall, Interceptor, Proceed
 
 Call = Callable[..., types.CallToolResult]
 
 
 @pytest.fixture
 def seen(fleet: Fleet) -> list[tuple[str, str, dict[str, Any], bool]]:
-    """Robot, tool, arguments and failure of each call that a robot's middleware has seen."""
+    """Robot, tool, arguments and failure of each call that a robot has seen."""
     calls: list[tuple[str, str, dict[str, Any], bool]] = []
 
-    def watching(robot: str) -> Any:
-        async def middleware(ctx: Any, call_next: Any) -> Any:
-            answer = await call_next(ctx)
-            calls.append(
-                (
-                    robot,
-                    ctx.params["name"],
-                    dict(ctx.params["arguments"]),
-                    bool(answer.get("isError")),
-                )
-            )
-            return answer
-
-        return middleware
+    def watching(robot: str) -> Callable[[EndedCall], None]:
+        return lambda ended: calls.append(
+            (robot, ended.call.name, dict(ended.call.arguments), bool(ended.code))
+        )
 
     for name, robot in fleet.robots.items():
-        robot.server.middleware.append(watching(name))
+        robot.events.call_ended.listen(watching(name))
     return calls
 
 
@@ -77,11 +66,7 @@ def test_the_only_robot_of_a_table_need_not_be_named(
     fleet = make_fleet('[robots.only]\nrobot = "gantry"\n')
     seen: list[str] = []
 
-    async def middleware(ctx: Any, call_next: Any) -> Any:
-        seen.append(ctx.params["name"])
-        return await call_next(ctx)
-
-    fleet.robots["only"].server.middleware.append(middleware)
+    fleet.robots["only"].events.call_ended.listen(lambda ended: seen.append(ended.call.name))
     call(fleet, "get_status")
     assert seen == ["get_status"]
 
@@ -101,11 +86,14 @@ def test_each_folder_says_which_namespace_it_is_of(
 def test_a_feature_of_a_robot_hands_on_another_call_of_that_robot(
     fleet: Fleet, call: Call, seen: list[Any]
 ) -> None:
-    async def other(ctx: Any, call_next: Any) -> Any:
-        params = {**ctx.params, "name": "get_status", "arguments": {}}
-        return await call_next(replace(ctx, params=params))
+    robot = fleet.robots["right-arm"]
 
-    fleet.robots["right-arm"].server.middleware.append(other)
+    async def other(call: IncomingCall, proceed: Proceed) -> Answer:
+        found = robot.tools.get("get_status")
+        return await proceed(replace(call, name="get_status", arguments={}, found=found))
+
+    step = Interceptor(name="other", phase=CallPhase.PERMISSION, around=other)
+    robot.tools.chain.intercept([step])
     answer = call(fleet, "stop_robot", {"robot": "right-arm"})
     assert not answer.is_error
     assert "modules" in (answer.structured_content or {})

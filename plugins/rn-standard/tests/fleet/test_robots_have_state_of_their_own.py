@@ -106,7 +106,7 @@ def test_a_person_who_is_asked_is_told_which_robot(call: Call, fleet: Fleet) -> 
         return ""
 
     fleet.server.ask = ask
-    fleet.robots["right-arm"].tools.ready = None
+    fleet.robots["right-arm"].tools.chain.ready = None
     answer = call(fleet, "reset_emergency_stop", {"robot": "right-arm"})
     assert answer.is_error
     assert "the person did not agree" in answer.content[0].text

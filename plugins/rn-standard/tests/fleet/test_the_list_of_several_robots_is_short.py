@@ -117,14 +117,12 @@ def test_a_listed_tool_is_called_by_its_own_name_too(call: Call, fleet: Fleet) -
     assert (answer.structured_content or {})["namespace"] == "right_arm"
 
 
-def test_the_robots_middleware_sees_the_call_that_is_meant(call: Call, fleet: Fleet) -> None:
+def test_the_robot_sees_the_call_that_is_meant(call: Call, fleet: Fleet) -> None:
     seen: list[Any] = []
 
-    async def middleware(ctx: Any, call_next: Any) -> Any:
-        seen.append((ctx.params["name"], dict(ctx.params["arguments"])))
-        return await call_next(ctx)
-
-    fleet.robots["left"].server.middleware.append(middleware)
+    fleet.robots["left"].events.call_ended.listen(
+        lambda ended: seen.append((ended.call.name, dict(ended.call.arguments)))
+    )
     call(
         fleet,
         "call_robot_tool",

@@ -169,7 +169,7 @@ def test_nobody_is_asked_about_what_cannot_be_started(make: Callable[..., Applic
 
 
 def test_the_description_says_so(make: Callable[..., Application]) -> None:
-    tool = make().tools.get("start_robot")
-    assert tool is not None
+    tool = next(tool for tool in make().tools.listing() if tool.name == "start_robot")
+    assert tool.description is not None
     assert "real robot arm (driver network)" in tool.description
     assert tool.description.endswith("A person is asked before the first start.")

@@ -285,4 +285,4 @@ def test_entries_of_agent_options_that_name_an_option_are_right() -> None:
 def test_the_feature_checks_agent_options_before_the_server_starts() -> None:
     sections = SelectionSections.model_validate({"selection": {"agent_options": ["nowhere.url"]}})
     with pytest.raises(ConfigurationError, match="nowhere"):
-        SelectionFeature(sections).tools(SimpleNamespace(registry=REGISTRY))  # type: ignore[arg-type]
+        SelectionFeature(sections).start_forms(SimpleNamespace(registry=REGISTRY))  # type: ignore[arg-type]

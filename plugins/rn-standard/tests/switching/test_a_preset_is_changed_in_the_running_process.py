@@ -16,7 +16,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from rn_standard.selection.choosing import choose
+from rn_standard.selection.feature import chosen_forms
 from rn_standard.selection.requests import StartChosenInference
 from rn_standard.switching.plugin import FEATURE as SWITCHING
 from rn_standard.switching.replacing import Switched, Switching
@@ -70,7 +70,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Switching,
         supervisor.on_join = (EXECUTION, SWITCHING.on_join or "")
         try:
             loop = ClosedLoop(config, discover, supervisor)
-            loop.choose = choose
+            loop.accept(chosen_forms(lambda: loop.registry))
             switching = Switching(loop)
             witness = Witness(supervisor, config.namespace)
             for kind in ("robot", "perception", "control"):

@@ -120,7 +120,7 @@ def converse(talk: Talk, version: str = KNOWS, clock: Callable[[], float] | None
 
     tools = ToolRegistry([tool("run_task", robot.run_task), tool("wave", robot.run_task)])
     server = make_server(cast(Served, SimpleNamespace(tools=tools, features=None)), "test")
-    server.middleware.insert(1, TaskCalls() if clock is None else TaskCalls(clock))
+    server.middleware.append(TaskCalls() if clock is None else TaskCalls(clock))
 
     async def scenario() -> None:
         async with (

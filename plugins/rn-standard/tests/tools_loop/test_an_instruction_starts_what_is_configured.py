@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import partial
 from pathlib import Path
 
 import pytest
 
-from rn_standard.tools_loop.tools import StartInference, choose_instruction
+from rn_standard.tools_loop.tools import INSTRUCTION, StartInference
 from rn_testing.fakes import fake_registry
 from roboneuron import Arguments, InternalError, NoArguments
 from roboneuron.config import Config
@@ -28,7 +27,7 @@ CONFIG = Config.model_validate(
 def loop(tmp_path: Path) -> Iterator[ClosedLoop]:
     supervisor = Supervisor(tmp_path)
     made = ClosedLoop(CONFIG, fake_registry, supervisor)
-    made.choose = partial(choose_instruction, made.choose)
+    made.accept([INSTRUCTION])
     yield made
     supervisor.close()
 

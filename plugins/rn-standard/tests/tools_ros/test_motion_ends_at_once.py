@@ -275,7 +275,7 @@ def test_the_stop_is_latched_before_ros_is_joined_and_whatever_the_arguments(
         "link",
         property(lambda self: joined.wait(30) and link.fget(self)),
     )
-    application.tools.ready = application._join_ros
+    application.tools.chain.ready = application._join_ros
     latch = application.loop.emergency_stop.file
 
     async def scenario() -> None:

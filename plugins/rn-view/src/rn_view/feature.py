@@ -19,10 +19,11 @@ from rn_view.diagnostics.event_list import ToolCalls
 from rn_view.options import ViewOptions
 from rn_view.sources.server_operator import ServerOperator
 from rn_view.sources.server_source import ServerSource
+from rn_view.tasks.past_tasks import TASK_TOOL
 from rn_view.tasks.task_pictures import Camera, TaskPictures
 from rn_view.web.access import ViewAccess, check_address, check_port, host_rules
 from roboneuron import Feature, Host, Tool
-from roboneuron.feature import Config, load_profile
+from roboneuron.feature import CallPhase, Config, Interceptor, load_profile
 
 if TYPE_CHECKING:
     from rn_view.web.view_server import ViewServer
@@ -56,13 +57,24 @@ class ViewFeature(Feature[ViewOptions]):
             self._source = ServerSource(host)
             host.events.health.listen(self._source.on_health)
             host.events.fault.listen(self._source.on_fault)
-            pictures = TaskPictures(self._source.past_tasks, partial(_main_camera, host))
-            host.tools.admissions.append(pictures.admit)
-            host.events.call.listen(pictures.on_call)
             calls = ToolCalls(self._source.shown_events, partial(_is_quiet, host))
-            # the server exists only then
-            host.events.open.listen(lambda: host.server.middleware.append(calls))
+            host.events.call_begun.listen(calls.begun)
+            host.events.call_ended.listen(calls.ended)
         return ()
+
+    def interceptors(self, host: Host) -> Sequence[Interceptor]:
+        """See `Feature.interceptors`: pictures of each task."""
+        if not self.options.enabled:
+            return ()
+        pictures = TaskPictures(self._source.past_tasks, partial(_main_camera, host))
+        return [
+            Interceptor(
+                name="task-pictures",
+                phase=CallPhase.HANDLER,
+                around=pictures.around,
+                tools=frozenset({TASK_TOOL}),
+            )
+        ]
 
     def start(self, host: Host) -> None:
         """Serve the page. Robots with the same address share one page with a choice of the

@@ -6,92 +6,48 @@ import html
 import json
 from types import SimpleNamespace
 
-import anyio
-import pytest
-from mcp import Client, types
-from mcp.server import Server
 from view_fakes import profile
 
 from rn_view.diagnostics.event_list import AuditReader, EventList, ToolCalls, add_record
 from rn_view.sources.source import ModuleRow, PageState, note_text
 from rn_view.visualization.markup import event_rows, joints_table, modules_table, stop_text
+from roboneuron.errors import StateError
+from roboneuron.server.interception import EndedCall, IncomingCall
 
 
-def calls(result):
-    """Lines listed for one call with that result."""
+def calls(is_quiet=lambda tool: False, outcome="answered", error=None):
+    """Lines listed for one call that ends so."""
     events = EventList()
-    context = SimpleNamespace(
-        method="tools/call", params={"name": "start_robot", "arguments": {"driver": "simulated"}}
+    call = IncomingCall(
+        name="start_robot", arguments={"driver": "simulated"}, context=SimpleNamespace(), found=None
     )
-
-    async def answer(_):
-        if isinstance(result, Exception):
-            raise result
-        return result
-
-    async def run():
-        return await ToolCalls(events)(context, answer)
-
-    if isinstance(result, Exception):
-        with pytest.raises(type(result)):
-            anyio.run(run)
-    else:
-        assert anyio.run(run) is result
+    listener = ToolCalls(events, is_quiet)
+    listener.begun(call)
+    listener.ended(EndedCall(call=call, outcome=outcome, error=error, took_s=0.1))
     return sorted(events.newest(9), key=lambda event: "..." not in event.text)
 
 
 def test_a_call_is_listed_when_it_begins_and_ends():
-    begun, done = calls({"isError": False, "content": []})
+    begun, done = calls()
     assert begun.text == 'start_robot(driver="simulated") ...'
     assert "done" in done.text
     assert not done.is_bad
 
 
 def test_a_refused_call_is_listed_with_its_reason():
-    failed = calls({"isError": True, "content": [{"type": "text", "text": "it runs already"}]})[1]
+    failed = calls(error=StateError("it runs already"))[1]
     assert failed.is_bad
     assert "it runs already" in failed.text
-    assert calls(ValueError("x"))[1].is_bad
+
+
+def test_a_cancelled_call_is_listed_as_bad():
+    assert calls(outcome="cancelled")[1].is_bad
 
 
 def test_of_tools_that_only_read_only_failures_are_listed():
-    def lines(**result):
-        events = EventList()
-        context = SimpleNamespace(method="tools/call", params={"name": "get_status"})
-
-        async def run():
-            async def answer(_):
-                return result
-
-            await ToolCalls(events, lambda name: name == "get_status")(context, answer)
-
-        anyio.run(run)
-        return events.newest(9)
-
-    assert lines(isError=False) == []
-    assert [line.is_bad for line in lines(isError=True, content=[])] == [True]
-
-
-def test_what_a_client_is_told_is_listed():
-    events = EventList()
-
-    async def refuse(context, params):
-        return types.CallToolResult(
-            content=[types.TextContent(type="text", text="it runs already")], is_error=True
-        )
-
-    async def no_tools(context, params):
-        return types.ListToolsResult(tools=[])
-
-    server = Server("one", on_call_tool=refuse, on_list_tools=no_tools)
-    server.middleware.append(ToolCalls(events))
-
-    async def ask():
-        async with Client(server) as client:
-            await client.call_tool("start_robot", {})
-
-    anyio.run(ask)
-    assert [event.text for event in events.newest(9) if event.is_bad and "it runs" in event.text]
+    assert calls(lambda name: name == "start_robot") == []
+    failed = calls(lambda name: name == "start_robot", error=StateError("no"))
+    assert [line.is_bad for line in failed] == [True]
 
 
 def record(number):

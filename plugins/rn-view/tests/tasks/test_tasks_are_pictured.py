@@ -6,8 +6,9 @@ import io
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
+import anyio
 import numpy as np
 import pytest
 from view_fakes import picture
@@ -16,7 +17,9 @@ from rn_standard.tasks.history import TaskHistory
 from rn_view.tasks import past_tasks, task_pictures
 from rn_view.tasks.past_tasks import PastTasks
 from rn_view.tasks.task_pictures import TaskPictures
-from roboneuron import NotReadyError
+from roboneuron import CallContext, NotReadyError
+from roboneuron.server.interception import IncomingCall
+from roboneuron.server.tool import Answer
 
 pytestmark = pytest.mark.ros
 
@@ -43,13 +46,21 @@ class Cell:
         return end
 
     def run(self, words: str, ends_with: int | None = 200, *, is_task: bool = True) -> None:
-        self.pictures.admit(SimpleNamespace(name="run_task"), SimpleNamespace())  # type: ignore[arg-type]
-        self.pictures.join(10.0)
-        assert self.open == 0
-        self.shade = ends_with
-        if is_task:
-            self.history.note(words, "succeeded", "")
-        self.pictures.on_call("run_task", {"instruction": words}, "agent", "", 1.0)
+        async def carry_out(call: IncomingCall) -> Answer:
+            self.pictures.join(10.0)
+            assert self.open == 0
+            self.shade = ends_with
+            if is_task:
+                self.history.note(words, "succeeded", "")
+            return Answer(structured={})
+
+        call = IncomingCall(
+            name="run_task",
+            arguments={"instruction": words},
+            context=cast(CallContext, SimpleNamespace()),
+            found=None,
+        )
+        anyio.run(self.pictures.around, call, carry_out)
         self.pictures.join(10.0)
         assert self.open == 0
 
@@ -75,7 +86,7 @@ def test_a_task_is_shown_as_it_began_and_as_it_ended(cell: Cell) -> None:
 
 
 def test_a_call_that_is_no_task_leaves_the_pictures_of_the_one_before(cell: Cell) -> None:
-    """A preview, or a call that was refused."""
+    """A call that was refused."""
     cell.run("pick up")
     cell.shade = 90
     cell.run("pick up", ends_with=120, is_task=False)
@@ -103,10 +114,3 @@ def test_pictures_are_bounded(cell: Cell, monkeypatch: pytest.MonkeyPatch) -> No
     for number in range(4):
         cell.run(f"task {number}")
     assert len(list(cell.tasks.folder.glob("*.jpg"))) == 4
-
-
-def test_other_calls_are_not_pictured(cell: Cell) -> None:
-    cell.pictures.admit(SimpleNamespace(name="get_status"), SimpleNamespace())  # type: ignore[arg-type]
-    cell.pictures.on_call("get_status", {}, "agent", "", 1.0)
-    cell.pictures.join(1.0)
-    assert not cell.tasks.folder.exists()

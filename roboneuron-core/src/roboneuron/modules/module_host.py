@@ -18,15 +18,17 @@ from rclpy.qos import QoSProfile
 from roboneuron import foreign
 from roboneuron.config import LimitsConfig, ModuleSettings
 from roboneuron.contract import Hold, JointCommand, Pose
-from roboneuron.errors import ConfigurationError, ForeignDataError, UnsafeError
+from roboneuron.errors import ConfigurationError, ForeignDataError, PluginError, UnsafeError
 from roboneuron.modules.settings import LIMITS_PARAMETER, NEEDS_NEW_START
 from roboneuron.modules.status import StatusWriter
+from roboneuron.moved import Moved
 from roboneuron.plugins.discovery import discover
 from roboneuron.ros.executor import created
 from roboneuron.ros.graph import foreign_names
 from roboneuron.ros.qos import NEWEST
 from roboneuron.ros.topics import JOINT_COMMAND, JOINT_TRAJECTORY
 
+PartT = TypeVar("PartT")
 Value = TypeVar("Value", str, int)
 """Type of a ROS parameter."""
 _TO_JOINTS = {JOINT_TRAJECTORY, JOINT_COMMAND}
@@ -88,11 +90,11 @@ class ModuleHost(LifecycleNode):  # type: ignore[misc]
         stops_lock: guards these two.
         handover: decides which inputs are this module's; a feature that replaces modules installs
             its own object.
-        lent: objects that features provide to the module, under names that the module's package
-            publishes.
         on_configured: called with the module at the end of every `configure`, which fails if one
             raises.
     """
+
+    lent = Moved("ModuleHost.provide")
 
     def __init__(self, settings: ModuleSettings) -> None:
         """Args:
@@ -109,7 +111,7 @@ class ModuleHost(LifecycleNode):  # type: ignore[misc]
         # a stop and a permission may come on two threads
         self.stops_lock = threading.Lock()
         self.handover = Handover()
-        self.lent: dict[str, object] = {}
+        self._provided: list[object] = []
         self.on_configured: list[Callable[[Module], None]] = []
 
     @abstractmethod
@@ -120,6 +122,21 @@ class ModuleHost(LifecycleNode):  # type: ignore[misc]
         A silence that has just ended lasts until the executor has handled it: after this process
         was frozen, the thread that reads the signs of life may resume first.
         """
+
+    def provide(self, part: object) -> None:
+        """Provide a part of the module, an instance of a class that the module's package publishes
+        for it. Called by features, before the module is created.
+
+        Raises:
+            PluginError: another feature provides one of that class.
+        """
+        if self.provided(type(part)) is not None:
+            raise PluginError(f"Two features provide a {type(part).__name__} of this module.")
+        self._provided.append(part)
+
+    def provided(self, kind: type[PartT]) -> PartT | None:
+        """Return the part of that class that a feature provides; None without one."""
+        return next((part for part in self._provided if isinstance(part, kind)), None)
 
     def create_timer(self, period_s: float, callback: Callable[[], None], **options: Any) -> Any:
         """Create a timer as Node does, but on the steady clock: a timer on ROS time would stop for

@@ -112,10 +112,12 @@ class Application:
         self.tools = ToolRegistry(
             [*stop_tools(self.loop), emergency_tool(self.loop)],
             most_calls=config.server.max_concurrent_calls,
-            on_call=self.events.call.tell,
+            on_begin=self.events.call_begun.tell,
+            on_end=self.events.call_ended.tell,
             on_change=self.events.tools.tell,
             acts_on=lambda: str(self.loop.robot_facts),
         )
+        self.tools.chain.press_first(self.loop.emergency_stop.file.press)
         self.server = make_server(self, config.server.name)
         self.host = Host(
             loop=self.loop,
@@ -196,7 +198,7 @@ class Application:
         self.loop.emergency_stop.file.reserve()
         self.supervisor.open()
         self.events.open.tell()
-        self.tools.ready = self._join_ros
+        self.tools.chain.ready = self._join_ros
         self._watch.start()
 
     async def _join_ros(self) -> None:
@@ -207,11 +209,11 @@ class Application:
         reason.
         """
         async with self._joining:
-            if self.tools.ready is not None:
+            if self.tools.chain.ready is not None:
                 with suppress(RoboNeuronError):
                     await to_thread.run_sync(lambda: self.supervisor.link)
                 await to_thread.run_sync(self.features.start, self.host)
-                self.tools.ready = None  # no later call waits for the lock
+                self.tools.chain.ready = None  # no later call waits for the lock
 
     async def settle(self) -> None:
         """Subscribe to emergency stops of other nodes once ROS is joined, and call

@@ -17,6 +17,8 @@ from roboneuron.plugins.specs import FeatureSpec
 
 if TYPE_CHECKING:
     from roboneuron.server.host import Host
+    from roboneuron.server.interception import Interceptor, Simulator
+    from roboneuron.server.loop import StartForm
     from roboneuron.server.motion_gate import MotionGate
     from roboneuron.server.registry import ToolRegistry
     from roboneuron.server.tool import Resource, Tool, Transport
@@ -77,9 +79,25 @@ class Feature(Generic[OptionsT]):
             ConfigurationError: another process holds it.
         """
 
+    def start_forms(self, host: Host) -> Sequence[StartForm]:
+        """How clients ask for modules that are not started as configured, at most one for each
+        kind of all features. Called once, before `tools` of any feature.
+        """
+        return ()
+
     def tools(self, host: Host) -> Sequence[Tool[Any]]:
         """Tools for the agent. Called once, before clients are served; `host` may be kept."""
         return ()
+
+    def interceptors(self, host: Host) -> Sequence[Interceptor]:
+        """Steps that tool calls pass, see docs/interceptors.md. Called once, after `tools`."""
+        return ()
+
+    def simulator(self, host: Host) -> Simulator | None:
+        """What simulates calls instead of carrying them out; at most one feature offers it. Called
+        once, after `tools`.
+        """
+        return None
 
     def resources(self, host: Host) -> Sequence[Resource]:
         """Resources for the agent. Called once, after `tools`."""
@@ -177,13 +195,21 @@ class Features:
         return self.loaded[spec.name].listen(host)
 
     def offer(self, host: Host, tools: ToolRegistry) -> list[Resource]:
-        """Add every feature's tools, and return all their resources."""
+        """Add every feature's tools and interceptors, and return all their resources."""
         resources: list[Resource] = []
 
         def add(feature: Feature[Any]) -> None:
             tools.add_all(feature.tools(host))
+            tools.chain.intercept(feature.interceptors(host))
+            simulator = feature.simulator(host)
+            if simulator is not None:
+                tools.chain.simulate_with(simulator)
             resources.extend(feature.resources(host))
 
+        self.each(
+            "asked for its start forms",
+            lambda feature: host.loop.accept(feature.start_forms(host)),
+        )
         self.each("asked for its tools", add)
         for name in self.failed:
             tools.replace_derived(name, ())

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from roboneuron.contract import check_topic
 from roboneuron.errors import ConfigurationError, StateError
+from roboneuron.moved import Moved
 from roboneuron.plugins.availability import install_command, package_of
 from roboneuron.ros.graph import RosGraph
 from roboneuron.supervisor.changes import Event
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from roboneuron.plugins.registry import Registry
     from roboneuron.ros.link import RosLink
     from roboneuron.server.feature import Feature, Features
+    from roboneuron.server.interception import EndedCall, IncomingCall
     from roboneuron.server.loop import ClosedLoop
     from roboneuron.server.motion_gate import MotionGate
     from roboneuron.server.registry import ToolRegistry
@@ -55,12 +57,14 @@ class Events:
             word for the fault, and JSON-serialisable details.
         decision: the gate or the emergency stop of this process wrote an audit record; on the
             requesting thread.
-        call: a tool call was answered; its name, the arguments as sent, the client, the code of the
-            error (empty on success), and its duration [s].
+        call_begun: a client called a tool; nothing is done or refused yet.
+        call_ended: a tool call was answered, asked its user or was cancelled.
         client: a client of several robots called a tool of one of them (True), or a client has
             disconnected (False).
         presence: a client has opened (1) or closed (-1) a request or a stream.
     """
+
+    call = Moved("Events.call_ended")
 
     def __init__(self) -> None:
         self.open: Event[[]] = Event()
@@ -73,7 +77,8 @@ class Events:
         self.resource: Event[[str]] = Event()
         self.fault: Event[[str, str, Mapping[str, Any]]] = Event()
         self.decision: Event[[AuditRecord]] = Event()
-        self.call: Event[[str, Mapping[str, Any], str, str, float]] = Event()
+        self.call_begun: Event[[IncomingCall]] = Event()
+        self.call_ended: Event[[EndedCall]] = Event()
         self.client: Event[[str, bool]] = Event()
         self.presence: Event[[str, int]] = Event()
 

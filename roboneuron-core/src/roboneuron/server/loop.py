@@ -8,7 +8,7 @@ import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 from roboneuron.config import Config, LimitsConfig
@@ -17,6 +17,7 @@ from roboneuron.estop.emergency import EmergencyStop
 from roboneuron.estop.motion_starts import MotionStarts
 from roboneuron.modules.plugin import unchecked_distances
 from roboneuron.modules.settings import EMERGENCY_STOP, MODULE_KINDS, ModuleKind
+from roboneuron.moved import Moved
 from roboneuron.planning import KIND_ENTRIES, Plan
 from roboneuron.plugins.registry import Registry
 from roboneuron.plugins.specs import RobotSpec
@@ -85,13 +86,22 @@ Choose = Callable[[ModuleKind, Config, Registry, Arguments, str], Plan]
 """
 
 
-def choose_nothing(
-    kind: ModuleKind, config: Config, registry: Registry, request: Arguments, role: str
-) -> Plan:
-    """Refuse a request that no feature reads."""
-    raise InternalError(
-        f"This server cannot read the {type(request).__name__} that a client sent for {kind}."
-    )
+@dataclass(frozen=True, kw_only=True, slots=True)
+class StartForm:
+    """How clients ask for a module that is not started as configured; declared by
+    `Feature.start_forms`.
+
+    Attributes:
+        kind: kind of the module.
+        arguments: arguments of `start_<kind>`.
+        plan: selects what a request asks for.
+        choices: as `Tool.choices`, for these arguments.
+    """
+
+    kind: ModuleKind
+    arguments: type[Arguments]
+    plan: Choose
+    choices: Mapping[str, Callable[[], dict[str, str]]] = field(default_factory=dict)
 
 
 class ClosedLoop:
@@ -103,13 +113,15 @@ class ClosedLoop:
         supervisor: supervisor of the modules.
 
     Attributes:
-        choose: selects a client's request; a feature that lets clients choose installs its own.
-            Without a choice, what is configured is started.
+        forms: how clients ask for modules, by kind, see `accept`. What has no form is started as
+            configured.
         on_stop: event before a module is stopped.
         starts: requests for motion, and the stops since.
         streams: actions sent on action topics, by namespace, see `stream`.
         modules: state of the module processes.
     """
+
+    choose = Moved("Feature.start_forms")
 
     def __init__(
         self, config: Config, plugins: Callable[[], Registry], supervisor: Supervisor
@@ -123,7 +135,7 @@ class ClosedLoop:
         self.emergency_stop = EmergencyStop(supervisor)
         self.starts = MotionStarts(supervisor)
         self.emergency_stop.file.on_pressed.append(lambda: self.starts.note_stop(EMERGENCY_STOP))
-        self.choose: Choose = choose_nothing
+        self.forms: Mapping[ModuleKind, StartForm] = {}
         self.on_stop: Callable[[ModuleKind], object] = lambda kind: None
         self.streams: dict[str, deque[SentAction]] = {}
         self._lock = threading.Lock()
@@ -190,6 +202,17 @@ class ClosedLoop:
         spec = self.registry.specs(RobotSpec).get(self.config.robot.name)
         return {} if spec is None else {camera.name: camera.role for camera in spec.cameras}
 
+    def accept(self, forms: Iterable[StartForm]) -> None:
+        """Let clients ask for modules by these forms, while the server is assembled.
+
+        Raises:
+            InternalError: there is a form for one of the kinds already.
+        """
+        for form in forms:
+            if form.kind in self.forms:
+                raise InternalError(f"There are two forms for the start of {form.kind}.")
+            self.forms = {**self.forms, form.kind: form}
+
     def select(self, kind: ModuleKind, request: Arguments | None, role: str = "") -> Plan:
         """Plan a client's request, or the configured module for one without arguments, checked
         against the installed plugins and the running modules.
@@ -197,13 +220,19 @@ class ClosedLoop:
         Nothing is changed.
 
         Raises:
-            RoboNeuronError: as `choose` and `check`.
+            RoboNeuronError: as `StartForm.plan` and `check`.
         """
         config = self.base if kind == "robot" else self.config
         if request is None or not request.model_fields_set:
             plan = KIND_ENTRIES[kind].check(config, self.registry)
         else:
-            plan = self.choose(kind, config, self.registry, request, role)
+            form = self.forms.get(kind)
+            if form is None or not isinstance(request, form.arguments):
+                raise InternalError(
+                    f"This server cannot read the {type(request).__name__} that a client sent for "
+                    f"{kind}."
+                )
+            plan = form.plan(kind, config, self.registry, request, role)
         self.check(plan)
         return plan
 

@@ -4,14 +4,9 @@ arguments.
 
 from __future__ import annotations
 
-import json
-import logging
 import threading
-import time
-import uuid
 from base64 import b64encode
-from collections import Counter
-from collections.abc import Awaitable, Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from itertools import chain
 from typing import Any
 
@@ -20,26 +15,22 @@ from mcp import types
 from roboneuron.errors import (
     InternalError,
     InvalidInputError,
-    NotReadyError,
     RefusedError,
     RoboNeuronError,
-    nearest,
-    shortened,
 )
 from roboneuron.gate.roles import Role
+from roboneuron.moved import Moved
+from roboneuron.server.call_chain import (
+    MOST_TEXT,
+    CallChain,
+    UnfinishedCallError,
+    clipped,
+    incident,
+)
+from roboneuron.server.interception import EndedCall, IncomingCall
 from roboneuron.server.schema import listed_output
-from roboneuron.server.tool import Answer, CallContext, Tool
+from roboneuron.server.tool import CallContext, Tool
 
-log = logging.getLogger(__name__)
-Admission = Callable[[Tool[Any], CallContext], None]
-"""Raises RoboNeuronError for a call that is not permitted now; called on the event loop, must not
-block.
-"""
-_MOST_TEXT = 2000
-"""Maximum length of an error's text [characters]."""
-_MOST_ANSWER = 100_000
-"""Maximum length of a read-only tool's answer [characters], for tools without their own bound."""
-_LISTED = "tools/list (`roboneuron tools`) names those that this robot has."
 _FIXED = ""
 """Owner of the tools that were added; the others are derived."""
 ERROR_META = "roboneuron/error"
@@ -48,32 +39,20 @@ ERROR_META = "roboneuron/error"
 """
 
 
-class UnfinishedCallError(Exception):
-    """Ends a call with a question to the client's user, whose answer comes with the next call; not
-    a failure.
-    """
-
-    def __init__(self, result: types.InputRequiredResult) -> None:
-        super().__init__("a person is asked")
-        self.result = result
-
-
 class ToolRegistry:
     """Tools in the order of their addition; the one border between MCP and all handlers.
 
     Args:
         tools: the initial tools.
-        most_calls: maximum number of concurrent calls by clients of one role, so that viewers
-            cannot block operators; a stop is never refused.
         on_change: called, from any thread, when the listed derived tools changed.
-        on_call: called after each answered call, as `Events.call`.
-        acts_on: the robot in words; part of every answer of a tool that acts on it.
+        most_calls, on_begin, on_end, acts_on: see `CallChain`.
 
     Attributes:
-        admissions: called in this order before each call; features add checks of who may act.
-        ready: awaited before a known and permitted tool is called; urgent work is done before. None
-            when there is nothing to wait for.
+        chain: what each call passes before its handler.
     """
+
+    admissions = Moved("Feature.interceptors")
+    replace = Moved("Feature.interceptors or Feature.start_forms")
 
     def __init__(
         self,
@@ -81,17 +60,20 @@ class ToolRegistry:
         *,
         most_calls: int = 64,
         on_change: Callable[[], object] = lambda: None,
-        on_call: Callable[[str, Mapping[str, Any], str, str, float], object] = lambda *_: None,
+        on_begin: Callable[[IncomingCall], object] = lambda call: None,
+        on_end: Callable[[EndedCall], object] = lambda ended: None,
         acts_on: Callable[[], str] | None = None,
     ) -> None:
-        self._acts_on = acts_on
-        self._on_call = on_call
-        self.admissions: list[Admission] = []
-        self.ready: Callable[[], Awaitable[None]] | None = None
+        self.chain = CallChain(
+            self.get,
+            lambda: {*chain(*self._owned.values())},
+            most_calls=most_calls,
+            on_begin=on_begin,
+            on_end=on_end,
+            acts_on=acts_on,
+        )
         self._on_change = on_change
         self._lock = threading.Lock()
-        self._most_calls = most_calls
-        self._calls: Counter[str] = Counter()
         self._owned: dict[str, dict[str, _ListedTool]] = {_FIXED: {}}
         self.add_all(tools)
 
@@ -102,16 +84,6 @@ class ToolRegistry:
             InternalError: a name already exists.
         """
         self._replace(_FIXED, [*(entry.tool for entry in self._owned[_FIXED].values()), *tools])
-
-    def replace(self, tool: Tool[Any]) -> None:
-        """Replace the added tool of the same name."""
-        self._replace(
-            _FIXED,
-            [
-                tool if name == tool.name else entry.tool
-                for name, entry in self._owned[_FIXED].items()
-            ],
-        )
 
     def names(self, besides: str = "") -> frozenset[str]:
         """Names of all tools except the derived ones of the owner `besides`."""
@@ -147,7 +119,7 @@ class ToolRegistry:
         may call.
         """
         return [
-            entry.shown()
+            entry.shown(self.chain.told(entry.tool.name))
             for entries in self._owned.values()
             for entry in entries.values()
             if entry.tool.listed and entry.tool.offered() and entry.tool.least_role.is_held_by(role)
@@ -163,7 +135,12 @@ class ToolRegistry:
         return None
 
     def _shown(self, owner: str) -> list[types.Tool]:
-        return [entry.shown() for entry in self._owned.get(owner, {}).values() if entry.tool.listed]
+        entries = self._owned.get(owner, {})
+        return [
+            entry.shown(self.chain.told(name))
+            for name, entry in entries.items()
+            if entry.tool.listed
+        ]
 
     def _replace(self, owner: str, tools: Iterable[Tool[Any]]) -> None:
         with self._lock:
@@ -178,42 +155,20 @@ class ToolRegistry:
     async def call(
         self, name: str, arguments: Mapping[str, Any], context: CallContext
     ) -> types.CallToolResult:
-        """Validate, run, and answer; every failure becomes an MCP error result, except
-        UnfinishedCallError.
+        """Pass a call through the chain and answer it; every failure becomes an MCP error result,
+        except UnfinishedCallError.
         """
-        begun_s, code = time.monotonic(), ""
+        call = IncomingCall(name=name, arguments=arguments, context=context, found=self.get(name))
         try:
-            tool, answer = await self._carry_out(name, arguments, context)
-            result = self._success(tool, answer)
+            answer = await self.chain.run(call)
         except RoboNeuronError as error:
-            log.info("%s was refused: %s: %s", shortened(name), error.code, _clipped(str(error)))
-            code, result = error.code, self.failure(error)
+            return self.failure(error)
         except UnfinishedCallError:
             raise
-        except Exception:  # tool-call border: the agent gets an error, the log the traceback
-            incident = uuid.uuid4().hex[:8]
-            log.exception("%s failed (incident %s)", name, incident)
-            unexpected = InternalError(
-                f"{name} failed unexpectedly (incident {incident}).",
-                hint="The server's log has the details; get_status tells what is running.",
-            )
-            code, result = unexpected.code, self.failure(unexpected)
-        self._on_call(name, arguments, context.who, code, time.monotonic() - begun_s)
-        return result
-
-    def _success(self, tool: Tool[Any], answer: Answer) -> types.CallToolResult:
-        """Return the answer to a call that succeeded. Raises InvalidInputError: it is too long."""
-        structured = dict(answer.structured)
-        if tool.open_world and not tool.read_only and self._acts_on is not None:
-            structured["acts_on"] = self._acts_on()
-        text = json.dumps(structured)
-        if tool.read_only and len(text) > _MOST_ANSWER:
-            raise InvalidInputError(
-                f"The answer of {tool.name} has {len(text)} characters: too many.",
-                hint="Ask for less: its arguments narrow what it answers.",
-            )
+        except Exception:  # of an interceptor before RECORD
+            return self.failure(incident(name))
         content: list[types.ContentBlock] = [
-            types.TextContent(type="text", text=text),
+            types.TextContent(type="text", text=answer.text),
             *(
                 types.ImageContent(
                     type="image", data=b64encode(p.data).decode(), mime_type=p.mime_type
@@ -221,55 +176,25 @@ class ToolRegistry:
                 for p in answer.pictures
             ),
         ]
-        return types.CallToolResult(content=content, structured_content=structured)
+        return types.CallToolResult(content=content, structured_content=dict(answer.structured))
 
     @staticmethod
     def failure(error: RoboNeuronError) -> types.CallToolResult:
         """Return the answer to a failed call."""
         details = {
             "code": error.code,
-            "message": _clipped(error.message),
-            "hint": _clipped(error.hint),
+            "message": clipped(error.message),
+            "hint": clipped(error.hint),
         }
         if isinstance(error, InvalidInputError) and error.path:
-            details["path"] = error.path[:_MOST_TEXT]
+            details["path"] = error.path[:MOST_TEXT]
         if isinstance(error, RefusedError) and error.rule:
             details["rule"] = error.rule
         return types.CallToolResult(
-            content=[types.TextContent(type="text", text=_clipped(str(error)))],
+            content=[types.TextContent(type="text", text=clipped(str(error)))],
             _meta={ERROR_META: details},
             is_error=True,
         )
-
-    async def _carry_out(
-        self, name: str, arguments: Mapping[str, Any], context: CallContext
-    ) -> tuple[Tool[Any], Answer]:
-        tool = self.get(name)
-        if tool is None:
-            raise InvalidInputError(
-                f"There is no tool {shortened(name)}.",
-                hint=nearest(name, {*chain(*self._owned.values())}, _LISTED),
-                path="tool",
-            )
-        tool.check_caller(context)
-        if tool.urgent is not None:
-            tool.urgent(arguments, context)
-        if self.ready is not None:
-            await self.ready()
-        self._calls[context.role] += 1
-        try:
-            if self._calls[context.role] > self._most_calls and not tool.always:
-                raise NotReadyError(
-                    f"{self._most_calls} calls are already running for the role {context.role!r}; "
-                    "no more are accepted.",
-                    hint="Wait for one to end; max_concurrent_calls in [server] sets how many "
-                    "there may be.",
-                )
-            for admit in self.admissions:
-                admit(tool, context)
-            return tool, await tool.call(arguments, context)
-        finally:
-            self._calls[context.role] -= 1
 
 
 class _ListedTool:
@@ -281,17 +206,17 @@ class _ListedTool:
         self.tool = tool
         self._described: types.Tool | None = None
 
-    def shown(self) -> types.Tool:
-        """The entry of `tools/list`."""
+    def shown(self, told: str) -> types.Tool:
+        """The entry of `tools/list`, with `told` at the end of the description."""
         if self._described is None or self.tool.choices:
-            self._described = _described(self.tool)
+            self._described = _described(self.tool, told)
         return self._described
 
 
-def _described(tool: Tool[Any]) -> types.Tool:
+def _described(tool: Tool[Any], told: str) -> types.Tool:
     return types.Tool(
         name=tool.name,
-        description=tool.description,
+        description=f"{tool.description}{told}",
         input_schema=tool.input_schema(),
         output_schema=listed_output(tool.result),
         annotations=types.ToolAnnotations(
@@ -302,8 +227,3 @@ def _described(tool: Tool[Any]) -> types.Tool:
             open_world_hint=None if tool.open_world else False,  # true by default
         ),
     )
-
-
-def _clipped(text: str) -> str:
-    """Bound the length of an error's text, which may quote the caller's arguments."""
-    return text if len(text) <= _MOST_TEXT else f"{text[: _MOST_TEXT - 100]} ... {text[-80:]}"

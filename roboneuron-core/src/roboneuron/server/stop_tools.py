@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from contextlib import suppress
 from typing import Any
 
 from pydantic import Field
 
-from roboneuron.errors import UnsafeError
 from roboneuron.gate.roles import Role
 from roboneuron.modules.settings import MODULE_KINDS
 from roboneuron.planning import KIND_ENTRIES, KindEntry
+from roboneuron.server.call_chain import EMERGENCY_TOOL
 from roboneuron.server.loop import ClosedLoop
 from roboneuron.server.tool import Arguments, CallContext, NoArguments, Result, Tool
 from roboneuron.supervisor.health import Stopped
@@ -96,11 +94,6 @@ def emergency_tool(loop: ClosedLoop) -> Tool[Any]:
     """emergency_stop."""
     stop = loop.emergency_stop
 
-    def press(arguments: Mapping[str, Any], context: CallContext) -> None:
-        """Latch before anything else: also before ROS is joined, and with invalid arguments."""
-        with suppress(UnsafeError):  # reported by the call itself, which tries again
-            stop.file.press(who=context.who, reason=str(arguments.get("reason") or ""))
-
     async def latch(arguments: EmergencyStopArguments, context: CallContext) -> EmergencyStopResult:
         confirmed, took_s = await context.run(
             lambda _: stop.latch(loop.config.namespace, who=context.who, reason=arguments.reason)
@@ -115,7 +108,7 @@ def emergency_tool(loop: ClosedLoop) -> Tool[Any]:
         )
 
     return Tool(
-        name="emergency_stop",
+        name=EMERGENCY_TOOL,
         title="Emergency stop",
         description=(
             "For danger: stop all motion at once. Nothing moves until a person releases it, "
@@ -130,5 +123,4 @@ def emergency_tool(loop: ClosedLoop) -> Tool[Any]:
         open_world=True,
         role=Role.VIEWER,  # every role that sees the robot may stop it
         always=True,
-        urgent=press,
     )

@@ -24,7 +24,8 @@ from mcp.shared.exceptions import MCPError
 from opentelemetry import trace
 
 from roboneuron import __version__
-from roboneuron.server.registry import ToolRegistry, UnfinishedCallError
+from roboneuron.server.call_chain import UnfinishedCallError
+from roboneuron.server.registry import ToolRegistry
 from roboneuron.server.tool import Resource, Transport, holder_of
 from roboneuron.supervisor.changes import Stage
 

@@ -76,12 +76,17 @@ class Reply:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Answer:
-    """The answer to a client: JSON-serialisable values that fit the tool's output schema, and
-    pictures.
+    """The answer to a client.
+
+    Attributes:
+        structured: JSON-serialisable values that fit the tool's output schema.
+        pictures: for the agent.
+        text: `structured` as JSON; empty until the chain has completed the answer.
     """
 
     structured: Mapping[str, Any]
     pictures: tuple[Picture, ...] = ()
+    text: str = ""
 
 
 _LOCAL_CLIENT = "local HTTP client"
@@ -191,8 +196,6 @@ class Tool(Generic[A]):
         choices: argument name -> function that returns {choice: summary}, called for each listing.
         role: required role; if empty, viewers may call read-only tools and operators all others.
         always: it stops something, and is exempt from the limit of concurrent calls.
-        urgent: called first, on the event loop, before the arguments are checked and before any
-            wait; must not block or raise.
     """
 
     name: str
@@ -211,7 +214,6 @@ class Tool(Generic[A]):
     choices: dict[str, Callable[[], dict[str, str]]] = field(default_factory=dict)
     role: str = ""
     always: bool = False
-    urgent: Callable[[Mapping[str, Any], CallContext], object] | None = None
 
     @property
     def least_role(self) -> Role:
@@ -242,10 +244,14 @@ class Tool(Generic[A]):
         return parse(self.arguments, arguments, self._choices() if self.choices else {})
 
     async def call(self, arguments: Mapping[str, Any], context: CallContext) -> Answer:
-        """Check the arguments and call the handler. Raises as `parsed`, and the handler's
-        errors.
+        """Check the arguments and call the handler, as a part of another call. Raises as `parsed`,
+        and the handler's errors.
         """
-        outcome = await self.handler(self.parsed(arguments), context)
+        return await self.answer(self.parsed(arguments), context)
+
+    async def answer(self, parsed: A, context: CallContext) -> Answer:
+        """Call the handler with checked arguments. Raises its errors."""
+        outcome = await self.handler(parsed, context)
         reply = outcome if isinstance(outcome, Reply) else Reply(result=outcome)
         return Answer(
             structured=reply.result.model_dump(

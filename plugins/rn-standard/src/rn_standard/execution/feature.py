@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, cast
 
 from rn_standard.execution.adaptive import AdaptiveExecutor
 from rn_standard.execution.mode import Mode, abilities_of, check_mode
-from rn_standard.inference.execution import MAKE_EXECUTOR, Bounds, ChunkExecutor
+from rn_standard.inference.execution import Bounds, ChunkExecutor, ExecutorMaker
 from roboneuron import BackendSpec, Feature
 
 if TYPE_CHECKING:
@@ -21,11 +21,11 @@ def join(host: ModuleHost) -> None:
     """Install this package's executor in a module; called in every module process, see
     `FeatureSpec.on_join`.
     """
-    host.lent[MAKE_EXECUTOR] = make_executor
+    host.provide(ExecutorMaker(make=make_executor))
 
 
 def make_executor(backend: BackendSpec, execution: str, bounds: Bounds) -> ChunkExecutor:
-    """Create an executor for that backend; a `MakeExecutor`.
+    """Create an executor for that backend; see `ExecutorMaker`.
 
     Raises:
         ConfigurationError: `execution` fixes a mode that the backend does not support.

@@ -16,7 +16,6 @@ from pathlib import Path
 
 from rn_standard.fleet.connection import PARTICIPANTS, SharedConnection, participants_of
 from rn_standard.fleet.fleet_tools import emergency_stop_tool, list_fleet_tool
-from rn_standard.fleet.middleware import RobotMiddleware
 from rn_standard.fleet.resources import resources_of, uri_of
 from rn_standard.fleet.tools import FleetTools
 from roboneuron import ConfigurationError, RoboNeuronError, Tool, Transport, UnsafeError
@@ -84,6 +83,7 @@ class Fleet:
             raise
         own: list[Tool] = [list_fleet_tool(self.robots), emergency_stop_tool(self)]
         self.tools = FleetTools(self.robots, own, lambda who: self.events.client.tell(who, True))
+        self.tools.chain.press_first(self.press)
         self.resources = resources_of(self.robots)
         named = ", ".join(
             f"{name} ({robot.loop.robot_facts})" for name, robot in self.robots.items()
@@ -99,7 +99,6 @@ class Fleet:
         self.features = first.features
         self.server = make_server(self, config.server.name)
         self.server.introduce(robots, tools)
-        self.server.middleware.append(RobotMiddleware(self.tools, list(self.robots.values())))
         self._host = replace(
             first.host,
             server=self.server,

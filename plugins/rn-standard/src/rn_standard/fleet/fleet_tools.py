@@ -24,9 +24,6 @@ class StoppedTogether(Protocol):
 
     robots: dict[str, Application]
 
-    def press(self, who: str, reason: str) -> None:
-        """Latch the stop of all robots at once."""
-
     def latch(self, who: str, reason: str) -> tuple[list[str], float]:
         """Latch, and return the confirmations and the time they took [s]."""
 
@@ -93,10 +90,6 @@ def list_fleet_tool(robots: Mapping[str, Application]) -> Tool[NoArguments]:
 def emergency_stop_tool(fleet: StoppedTogether) -> Tool[FleetStop]:
     """emergency_stop of all robots; a call for one robot is passed to that robot's own tool."""
 
-    def press(arguments: Mapping[str, object], context: CallContext) -> None:
-        """Latch all robots before anything else, also with invalid arguments."""
-        fleet.press(context.who, str(arguments.get("reason") or ""))
-
     async def latch(arguments: FleetStop, context: CallContext) -> FleetStopResult:
         confirmed, took_s = await context.run(lambda _: fleet.latch(context.who, arguments.reason))
         if arguments.robot is not None:
@@ -132,7 +125,6 @@ def emergency_stop_tool(fleet: StoppedTogether) -> Tool[FleetStop]:
         open_world=True,
         role=Role.VIEWER,  # every role that sees a robot may stop it
         always=True,
-        urgent=press,
     )
 
 

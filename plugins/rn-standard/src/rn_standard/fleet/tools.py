@@ -131,30 +131,6 @@ class FleetTools(ToolRegistry):
         rest = {key: value for key, value in arguments.items() if key != "robot"}
         return await self._robots[chosen].tools.call(name, rest, RobotContext(context, chosen))
 
-    def meant_call(
-        self, name: str, arguments: Mapping[str, object]
-    ) -> tuple[str, Mapping[str, object]]:
-        """Resolve a client's call, also if made with call_robot_tool."""
-        caller = self.get(CALL)
-        if name != CALL or caller is None:
-            return name, arguments
-        try:
-            return unwrapped(caller.parsed(arguments))
-        except RoboNeuronError:
-            return name, arguments
-
-    def meant_robot(self, tool: str, arguments: Mapping[str, object]) -> Application | None:
-        """The robot of a call; None for a call of the whole fleet, and for one that will be
-        refused.
-        """
-        robot = arguments.get("robot")
-        if self.get(tool) is not None and not (isinstance(robot, str) and robot in self._robots):
-            return None
-        try:
-            return self._robots[self._choose(tool, robot)]
-        except RoboNeuronError:
-            return None
-
     def _choose(self, tool: str, robot: object) -> str:
         """Choose the robot of a call.
 

@@ -14,7 +14,7 @@ from rn_standard.http.options import HttpOptions
 from rn_standard.http.origins import HostRules
 from rn_standard.http.tokens import TokenFiles, read_tokens
 from roboneuron import Feature, Host, Tool, Transport
-from roboneuron.feature import Config
+from roboneuron.feature import CallPhase, Config, Interceptor
 
 _LAPSE_S = 2.0
 """Longest wait for the end of motion after a lapsed lease."""
@@ -40,7 +40,7 @@ class HttpFeature(Feature[HttpOptions]):
             HostRules(self.options)
 
     def tools(self, host: Host) -> Sequence[Tool]:
-        """Return take_over and heartbeat; every call is checked by the lease from now on."""
+        """Return take_over and heartbeat."""
         variables = [token.variable for token in self.options.tokens if token.variable is not None]
         host.modules.secret_variables.update(variables)
 
@@ -57,10 +57,14 @@ class HttpFeature(Feature[HttpOptions]):
             has_left=has_left,
             by_streams=self.options.lease_streams,
         )
-        host.tools.admissions.append(self.lease.admit)
         host.events.client.listen(self.lease.note_client)
         host.events.presence.listen(self.lease.note_presence)
         return self.lease.tools()
+
+    def interceptors(self, host: Host) -> Sequence[Interceptor]:
+        """Every call is checked by the lease."""
+        assert self.lease is not None
+        return [Interceptor(name="operator", phase=CallPhase.ARBITRATION, check=self.lease.admit)]
 
     def start(self, host: Host) -> None:
         """Start watching the lease."""

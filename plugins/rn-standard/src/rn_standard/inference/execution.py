@@ -2,7 +2,7 @@
 
 All decisions are made here under one lock; the calling threads, one to predict and one to play,
 have no state. Time is an argument, so that tests and simulations use a virtual clock. A feature may
-provide another executor, derived from this one (`MAKE_EXECUTOR`).
+provide another executor, derived from this one (`ExecutorMaker`).
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 from roboneuron import F64, ActionChunk, BackendSpec, ConfigurationError, NotReadyError, Observation
 
@@ -331,12 +331,17 @@ def make_sequential(backend: BackendSpec, execution: str, bounds: Bounds) -> Chu
     return ChunkExecutor(bounds)
 
 
-MakeExecutor = Callable[[BackendSpec, str, Bounds], ChunkExecutor]
-"""Creates the executor of a backend's chunks; called as `make_sequential`."""
-MAKE_EXECUTOR = "make_executor"
-"""Key in `ModuleHost.lent` under which a feature provides its own MakeExecutor."""
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ExecutorMaker:
+    """What a feature provides to inference modules, by `ModuleHost.provide`, to execute chunks.
+
+    Attributes:
+        make: creates the executor of a backend's chunks; called as `make_sequential`.
+    """
+
+    make: Callable[[BackendSpec, str, Bounds], ChunkExecutor]
 
 
-def executor_maker(host: ModuleHost) -> MakeExecutor:
-    """Return a feature's MakeExecutor, or `make_sequential`."""
-    return cast("MakeExecutor", host.lent.get(MAKE_EXECUTOR, make_sequential))
+def executor_maker(host: ModuleHost) -> ExecutorMaker:
+    """Return a feature's ExecutorMaker, or that of `make_sequential`."""
+    return host.provided(ExecutorMaker) or ExecutorMaker(make=make_sequential)

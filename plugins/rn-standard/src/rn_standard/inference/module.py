@@ -133,7 +133,7 @@ class InferenceModule(Module):
         self._actions = node.advertise(Float64MultiArray, topics.ACTION)
         bounds = Bounds(first_s=config.max_image_age_s, tail_s=config.max_tail_age_s)
         self._stepped = SteppedChunks(bounds, node) if is_stepped(self.config) else None
-        self.executor = self._stepped or executor_maker(node)(
+        self.executor = self._stepped or executor_maker(node).make(
             self._policy.policy.backend, config.execution, bounds
         )
         self._not_before_ns = 0

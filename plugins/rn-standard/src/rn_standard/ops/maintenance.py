@@ -30,7 +30,14 @@ from roboneuron import (
     Tool,
     foreign,
 )
-from roboneuron.feature import AuditLog, AuditRecord, Periodic, Role
+from roboneuron.feature import (
+    AuditLog,
+    AuditRecord,
+    CallPhase,
+    Interceptor,
+    Periodic,
+    Role,
+)
 
 log = logging.getLogger(__name__)
 NAME = "maintenance"
@@ -157,13 +164,16 @@ class MaintenanceFeature(Feature[None]):
     _watch: Periodic | None = None
 
     def tools(self, host: Host) -> Sequence[Tool]:
-        """None; every call is checked from now on, before other checks."""
+        """See `Feature.tools`: none."""
         self._host = host
         self._file = MaintenanceFile(host.state_directory)
         self._lock = threading.Lock()
         self._state = self._file.read()
-        host.tools.admissions.insert(0, self.admit)
         return ()
+
+    def interceptors(self, host: Host) -> Sequence[Interceptor]:
+        """See `Feature.interceptors`."""
+        return [Interceptor(name=NAME, phase=CallPhase.PERMISSION, check=self.admit)]
 
     def start(self, host: Host) -> None:
         """Watch the file, which a terminal may write."""

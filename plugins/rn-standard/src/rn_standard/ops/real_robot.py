@@ -4,8 +4,7 @@ roboneuron.toml.
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable
-from dataclasses import replace
+from collections.abc import Sequence
 from typing import Literal
 
 from pydantic import Field
@@ -16,16 +15,19 @@ from roboneuron import (
     Feature,
     Host,
     RefusedError,
-    Reply,
-    Result,
     Section,
-    Tool,
 )
-from roboneuron.feature import AuditRecord
+from roboneuron.feature import (
+    Answer,
+    AuditRecord,
+    CallPhase,
+    IncomingCall,
+    Interceptor,
+    Proceed,
+)
 
 _STARTS = ("start_robot", "start_all")
 _DOWN = ("stopped", "exited")
-Handler = Callable[[Arguments, CallContext], Awaitable[Result | Reply]]
 
 
 class RealRobotOptions(Section):
@@ -46,26 +48,27 @@ class RealRobotFeature(Feature[RealRobotOptions]):
 
     _agreed: frozenset[tuple[str, str]] = frozenset()
 
-    def complete(self, host: Host) -> None:
-        """See `Feature.complete`: add the question before the tools that start a robot."""
-        for name in _STARTS:
-            tool = host.tools.get(name)
-            if tool is None or self.options.confirm == "never":
-                continue
-            text = tool.description
-            if host.loop.robot_facts.kind == "real":
-                text = f"{text} A person is asked before the first start."
-            host.tools.replace(replace(tool, handler=self._asking(host, tool), description=text))
+    def interceptors(self, host: Host) -> Sequence[Interceptor]:
+        """See `Feature.interceptors`: ask before the tools that start a robot."""
+        if self.options.confirm == "never":
+            return ()
 
-    def _asking(self, host: Host, tool: Tool) -> Handler:
-        async def handler(arguments: Arguments, context: CallContext) -> Result | Reply:
+        async def ask(call: IncomingCall, proceed: Proceed) -> Answer:
             if host.modules.view("robot").phase in _DOWN:
-                await self._ask(
-                    host, tool.name, arguments if tool.name == _STARTS[0] else None, context
-                )
-            return await tool.handler(arguments, context)
+                request = call.parsed if call.name == _STARTS[0] else None
+                await self._ask(host, call.name, request, call.context)
+            return await proceed(call)
 
-        return handler
+        is_real = host.loop.robot_facts.kind == "real"
+        return [
+            Interceptor(
+                name="real-robot",
+                phase=CallPhase.CONFIRMATION,
+                around=ask,
+                tools=frozenset(_STARTS),
+                told="A person is asked before the first start." if is_real else "",
+            )
+        ]
 
     async def _ask(
         self, host: Host, tool: str, request: Arguments | None, context: CallContext

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rn_standard.preview.arm import TooLongError, TwinArm
-from rn_standard.preview.calls import NAME, PreviewCalls
 from rn_standard.preview.options import PreviewOptions
 from rn_standard.preview.results import Outcome, PreviewResult, Survey
 from rn_standard.preview.session import MODELS, EndedError, Session, arm_endpoint, paths_of
@@ -37,8 +36,9 @@ from roboneuron import (
     RobotProfile,
     Tool,
 )
-from roboneuron.feature import AuditRecord, MotionLimiter, Role, Shape
+from roboneuron.feature import AuditRecord, MotionLimiter, Role, Shape, Simulator
 
+NAME = "preview"
 _JOINTS_S = 2.0
 _START_S = 30.0
 """Longest start of the process, which imports a physics engine."""
@@ -62,11 +62,9 @@ class PreviewFeature(Feature[PreviewOptions]):
     _process: TwinProcess | None = None
 
     def tools(self, host: Host) -> Sequence[Tool[Any]]:
-        """One tool that is not listed: calls come to it by `PreviewCalls`."""
+        """One tool that is not listed: calls come to it by `simulator`."""
         self._host = host
         self._one = threading.Lock()
-        # around those that note what a client did: this does nothing
-        host.server.middleware.insert(1, PreviewCalls(self._can))
         return [
             Tool(
                 name=NAME,
@@ -81,23 +79,20 @@ class PreviewFeature(Feature[PreviewOptions]):
             )
         ]
 
+    def simulator(self, host: Host) -> Simulator:
+        """See `Feature.simulator`."""
+        return Simulator(tool=NAME, can=_can)
+
     def close(self) -> None:
         """End the process of the twin."""
         if self._process is not None:
             self._process.end()
             self._process = None
 
-    def _can(self, name: str) -> bool:
-        tool = self._host.tools.get(name)
-        if tool is None:
-            return False
-        kind = tool.arguments
-        return (kind.model if isinstance(kind, Shape) else kind) in MODELS
-
     async def _preview(self, arguments: PreviewArguments, context: CallContext) -> Reply:
         """Raises InvalidInputError, NotReadyError, RefusedError."""
         tool = self._host.tools.get(arguments.tool)
-        if tool is None or not self._can(arguments.tool):
+        if tool is None or not _can(tool):
             raise InvalidInputError(f"{arguments.tool[:64]!r} cannot be previewed.", path="tool")
         parsed = tool.parsed(arguments.arguments)
         if isinstance(parsed, RunTask):
@@ -247,6 +242,11 @@ class PreviewFeature(Feature[PreviewOptions]):
         )
         with suppress(RefusedError):
             self._host.audit.write(record)
+
+
+def _can(tool: Tool[Any]) -> bool:
+    kind = tool.arguments
+    return (kind.model if isinstance(kind, Shape) else kind) in MODELS
 
 
 def _png(image: NDArray[np.uint8]) -> Picture:

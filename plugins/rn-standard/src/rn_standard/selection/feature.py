@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from functools import partial
 
 from rn_standard.selection.choosing import choose
 from rn_standard.selection.options import SelectionSections
 from rn_standard.selection.permission import check_listed
 from rn_standard.selection.requests import REQUESTS, choices_of
-from roboneuron import Feature, Host, InternalError, Tool
+from roboneuron import Feature, Host
+from roboneuron.feature import Registry, StartForm
 
 
 class SelectionFeature(Feature[SelectionSections]):
@@ -17,26 +18,32 @@ class SelectionFeature(Feature[SelectionSections]):
     start.
     """
 
-    def tools(self, host: Host) -> Sequence[Tool]:
-        """Return no new tools: those of core get arguments. See `Feature.tools`.
+    def start_forms(self, host: Host) -> Sequence[StartForm]:
+        """See `Feature.start_forms`.
 
         Raises:
             ConfigurationError: `agent_options` contains an unknown option.
         """
         if listed := self.options.selection.agent_options:
             check_listed(listed, host.registry)
-        host.loop.choose = choose
-        for kind, arguments in REQUESTS.items():
-            tool = host.tools.get(f"start_{kind}")
-            if tool is None:
-                raise InternalError(f"There is no tool start_{kind}.")
-            choices = {
-                argument: _installed(host, offer) for argument, offer in choices_of(kind).items()
-            }
-            host.tools.replace(replace(tool, arguments=arguments, choices=choices))
-        return ()
+        return chosen_forms(lambda: host.registry)
 
 
-def _installed(host: Host, kind: str) -> Callable[[], dict[str, str]]:
-    """Return a function for the names of the usable plugins of a kind, with their summaries."""
-    return lambda: dict.fromkeys(host.registry.specs(host.registry.kinds[kind]), "")
+def chosen_forms(registry: Callable[[], Registry]) -> list[StartForm]:
+    """Return the forms of all kinds, whose choices are the usable plugins in `registry`."""
+
+    def installed(offer: str) -> dict[str, str]:
+        found = registry()
+        return dict.fromkeys(found.specs(found.kinds[offer]), "")
+
+    return [
+        StartForm(
+            kind=kind,
+            arguments=arguments,
+            plan=choose,
+            choices={
+                argument: partial(installed, offer) for argument, offer in choices_of(kind).items()
+            },
+        )
+        for kind, arguments in REQUESTS.items()
+    ]

@@ -39,7 +39,7 @@ from roboneuron import (
     Tool,
     matrix_from_quaternion,
 )
-from roboneuron.feature import Config
+from roboneuron.feature import CallPhase, Config, Interceptor
 
 F64 = NDArray[np.float64]
 PREDICATES_URI = "roboneuron://tasks/predicates"
@@ -74,7 +74,6 @@ class TasksFeature(Feature[TasksSections]):
         """See `Feature.tools`."""
         self._host = host
         arbiter = self._arbiter = TaskArbiter()
-        host.tools.admissions.append(arbiter.admit)
         host.events.stop.listen(lambda kind: arbiter.end(f"{kind} was stopped"))
         self._events = EventLog(self.options.events.kept, host.events.resource.tell)
         self._watching = Watching(host, self.options.events, self._events)
@@ -100,6 +99,11 @@ class TasksFeature(Feature[TasksSections]):
             move_to_tool(mover, places, approval),
             *([list_models_tool(host)] if named_models(host.config) else []),
         ]
+
+    def interceptors(self, host: Host) -> Sequence[Interceptor]:
+        """See `Feature.interceptors`."""
+        assert self._arbiter is not None
+        return [Interceptor(name="task", phase=CallPhase.ARBITRATION, check=self._arbiter.admit)]
 
     def resources(self, host: Host) -> Sequence[Resource]:
         """See `Feature.resources`."""
@@ -128,8 +132,7 @@ class TasksFeature(Feature[TasksSections]):
     def attach(self, host: Host) -> None:
         """See `Feature.attach`."""
         offer_prompts(host.server)
-        # around those of other features: they see the call itself
-        host.server.middleware.insert(1, TaskCalls())
+        host.server.middleware.append(TaskCalls())
 
     def start(self, host: Host) -> None:
         """See `Feature.start`."""

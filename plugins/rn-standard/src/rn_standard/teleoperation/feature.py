@@ -173,8 +173,7 @@ class Teleoperation(Feature[None]):
 
         def may_lead() -> None:
             # a lead is a series of calls: a client that may call now may lead now
-            for admit in host.tools.admissions:
-                admit(self._tools[0], context)
+            host.tools.chain.check_permitted(self._tools[0], context)
 
         return Lead(
             session,

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 
 from rn_standard.tools_loop.fallback import FallbackWatch
 from rn_standard.tools_loop.reset import reset_tool
 from rn_standard.tools_loop.status import STATUS_URI, status_resource, status_tool
-from rn_standard.tools_loop.tools import choose_instruction, start_tools
+from rn_standard.tools_loop.tools import INSTRUCTION, start_tools
 from roboneuron import Feature, Host, Resource, Tool
 
 
@@ -23,7 +22,8 @@ class LoopTools(Feature[None]):
         def changed(*_: object) -> None:
             host.events.resource.tell(STATUS_URI)
 
-        host.loop.choose = partial(choose_instruction, host.loop.choose)
+        if "inference" not in host.loop.forms:
+            host.loop.accept([INSTRUCTION])
         host.events.health.listen(changed)
         host.events.fault.listen(changed)
         return [

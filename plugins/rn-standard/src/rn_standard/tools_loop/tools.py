@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from pydantic import Field
@@ -20,6 +20,7 @@ from roboneuron.feature import (
     ModuleKind,
     Plan,
     Registry,
+    StartForm,
 )
 
 
@@ -87,28 +88,21 @@ class StartInference(Arguments):
     )
 
 
-def choose_instruction(
-    otherwise: Callable[..., Plan],
-    kind: ModuleKind,
-    config: Config,
-    registry: Registry,
-    request: Arguments,
-    role: str,
+def plan_instruction(
+    kind: ModuleKind, config: Config, registry: Registry, request: Arguments, role: str
 ) -> Plan:
-    """Plan the configured policy with the instruction of a request.
-
-    Args:
-        otherwise: the previous `ClosedLoop.choose`, for other requests.
-        kind, config, registry, request, role: see `ClosedLoop.choose`.
-    """
-    if not isinstance(request, StartInference):
-        return otherwise(kind, config, registry, request, role)
+    """Plan the configured policy with the instruction of a request, see `StartForm.plan`."""
     entry = KIND_ENTRIES[kind]
-    if request.instruction is not None:
-        update = {"instruction": request.instruction}
+    instruction = getattr(request, "instruction", None)
+    if instruction is not None:
+        update = {"instruction": instruction}
         section = entry.configured(config, registry).model_copy(update=update)
         config = config.model_copy(update={kind: section})
     return entry.check(config, registry)
+
+
+INSTRUCTION = StartForm(kind="inference", arguments=StartInference, plan=plan_instruction)
+"""How clients ask for the configured policy where no feature lets them choose another."""
 
 
 def start_tools(loop: ClosedLoop) -> list[Tool]:
@@ -148,7 +142,7 @@ def _set_instruction(loop: ClosedLoop) -> Tool:
 
 
 def _start_tool(loop: ClosedLoop, kind: ModuleKind) -> Tool:
-    entry, texts = KIND_ENTRIES[kind], _TEXTS[kind]
+    entry, texts, form = KIND_ENTRIES[kind], _TEXTS[kind], loop.forms.get(kind)
     which = f" The configured one is the {loop.robot_facts}." if entry.kind == "robot" else ""
 
     async def handler(request: Arguments, context: CallContext) -> StartResult:
@@ -167,7 +161,8 @@ def _start_tool(loop: ClosedLoop, kind: ModuleKind) -> Tool:
         title=texts.title,
         description=f"{texts.effect}{which} Returns when {texts.proof}.",
         offered=loop.takes_policies if entry.kind == "inference" else lambda: True,
-        arguments=StartInference if kind == "inference" else NoArguments,
+        arguments=NoArguments if form is None else form.arguments,
+        choices={} if form is None else dict(form.choices),
         result=StartResult,
         handler=handler,
         open_world=True,

@@ -8,14 +8,13 @@ import os
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
-from mcp.server.context import CallNext, HandlerResult, ServerRequestContext
-
 from roboneuron import ForeignDataError, foreign
+from roboneuron.feature import EndedCall, IncomingCall
 
 _KEPT = 300
 _MOST_TEXT = 300
@@ -96,7 +95,7 @@ class EventList:
 
 
 class ToolCalls:
-    """Middleware of the MCP server: adds an event when a tool call begins and when it ends.
+    """Adds an event when a tool call begins and when it has ended.
 
     Args:
         events: receives the events.
@@ -110,37 +109,25 @@ class ToolCalls:
         self._events = events
         self._is_quiet = is_quiet
 
-    async def __call__(self, ctx: ServerRequestContext, call_next: CallNext) -> HandlerResult:
-        """See `mcp.server.context.ServerMiddleware`."""
-        if ctx.method != "tools/call" or not ctx.params:
-            return await call_next(ctx)
-        call = f"{ctx.params.get('name')}({shown_arguments(ctx.params.get('arguments'))})"
-        is_quiet = self._is_quiet(str(ctx.params.get("name")))
-        if not is_quiet:
-            self._events.add("tool", f"{call} ...")
-        begun_s = time.monotonic()
-        try:
-            result = await call_next(ctx)
-        except BaseException as error:
-            self._events.add("tool", f"{call}: {type(error).__name__}", is_bad=True)
-            raise
-        took = f"{time.monotonic() - begun_s:.2f} s"
-        failure = failure_of(result)
-        if failure or not is_quiet:
-            self._events.add("tool", f"{call}: {failure or 'done'}, {took}", is_bad=bool(failure))
-        return result
+    def begun(self, call: IncomingCall) -> None:
+        """Listener of `Events.call_begun`."""
+        if not self._is_quiet(call.name):
+            self._events.add("tool", f"{_shown_call(call)} ...")
+
+    def ended(self, ended: EndedCall) -> None:
+        """Listener of `Events.call_ended`."""
+        call = _shown_call(ended.call)
+        if ended.outcome == "cancelled":
+            self._events.add("tool", f"{call}: cancelled", is_bad=True)
+            return
+        is_bad = ended.error is not None
+        if is_bad or not self._is_quiet(ended.call.name):
+            said = str(ended.error) if is_bad else "done"
+            self._events.add("tool", f"{call}: {said}, {ended.took_s:.2f} s", is_bad=is_bad)
 
 
-def failure_of(result: object) -> str:
-    """Error text of a failed tool call, empty for a successful one; `result` is in wire format, as
-    middleware gets it.
-    """
-    if not (isinstance(result, Mapping) and result.get("isError")):
-        return ""
-    return (
-        " ".join(block["text"] for block in result.get("content", ()) if "text" in block)
-        or "failed"
-    )
+def _shown_call(call: IncomingCall) -> str:
+    return f"{call.name}({shown_arguments(call.arguments)})"
 
 
 def shown_arguments(arguments: object) -> str:

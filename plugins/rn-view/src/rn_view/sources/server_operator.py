@@ -13,7 +13,6 @@ from anyio import to_thread
 
 from rn_standard.http.operator_lease import OperatorLease
 from rn_standard.teleoperation.feature import TELEOPERATION, Teleoperation
-from rn_view.diagnostics.event_list import failure_of
 from rn_view.teleoperation.sample_socket import PageTeleoperator
 from rn_view.teleoperation.stick_panel import RATE_HZ
 from roboneuron import Host
@@ -78,7 +77,10 @@ class ServerOperator:
 
     async def _call(self, holder: Holder, tool: str, arguments: dict[str, object]) -> str:
         result = await self._host.tools.call(tool, arguments, _Context(holder))
-        return failure_of(result.model_dump(mode="json", by_alias=True))
+        if not result.is_error:
+            return ""
+        said = " ".join(block.text for block in result.content if block.type == "text")
+        return said or "failed"
 
     async def _fetch(self, holder: Holder, tool: str) -> Mapping[str, object]:
         result = await self._host.tools.call(tool, {}, _Context(holder))

@@ -5,15 +5,16 @@ from __future__ import annotations
 import io
 import logging
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from rn_view.sources.measured_topics import image_pixels
-from rn_view.tasks.past_tasks import TASK_TOOL, PastTasks
-from roboneuron import CallContext, RoboNeuronError, Tool
+from rn_view.tasks.past_tasks import PastTasks
+from roboneuron import RoboNeuronError
+from roboneuron.feature import Answer, IncomingCall, Proceed
 
 if TYPE_CHECKING:
     from sensor_msgs.msg import Image
@@ -54,22 +55,20 @@ class TaskPictures:
 
     def __init__(self, tasks: PastTasks, camera: Callable[[], Camera | None]) -> None:
         self._tasks, self._camera = tasks, camera
-        self._begun = _Begun()
         self._threads: list[threading.Thread] = []
 
-    def admit(self, tool: Tool[Any], context: CallContext) -> None:
-        """Admission check of tool calls. It refuses none; it notes the start of a task."""
-        if tool.name == TASK_TOOL:
-            begun = self._begun = _Begun()
-            self._start(lambda: self._begin(begun))
-
-    def on_call(
-        self, tool: str, arguments: Mapping[str, Any], who: str, code: str, took_s: float
-    ) -> None:
-        """Listener of `Events.call`."""
-        if tool == TASK_TOOL:
-            begun, instruction = self._begun, str(arguments.get("instruction", ""))
+    async def around(self, call: IncomingCall, proceed: Proceed) -> Answer:
+        """Take the pictures of a call of run_task that nothing has refused, see `Interceptor`."""
+        begun = _Begun()
+        self._start(lambda: self._begin(begun))
+        instruction = str(call.arguments.get("instruction", ""))
+        try:
+            answer = await proceed(call)
+        except RoboNeuronError:
             self._start(lambda: self._finish(instruction, begun))
+            raise
+        self._start(lambda: self._finish(instruction, begun))
+        return answer
 
     def join(self, timeout_s: float) -> None:
         """Wait for the pictures being taken, at most `timeout_s` for each."""

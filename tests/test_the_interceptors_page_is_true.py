@@ -1,0 +1,59 @@
+"""docs/interceptors.md lists the chain as it is, and old hooks point to it."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from roboneuron.config import parse_config
+from roboneuron.config.reading import default_text
+from roboneuron.errors import PluginError
+from roboneuron.plugins.discovery import discover
+from roboneuron.server.app import Application
+from roboneuron.server.host import Events
+from roboneuron.server.interception import CallPhase
+from roboneuron.server.loop import ClosedLoop
+from roboneuron.server.registry import ToolRegistry
+
+PAGE = (Path(__file__).parents[1] / "docs" / "interceptors.md").read_text(encoding="utf-8")
+ROW = re.compile(r"^\| ([A-Z]+) \| `([^`]+)` \| (\S+) \|", re.MULTILINE)
+
+
+def test_the_page_lists_the_chain_of_a_server_with_all_features(tmp_path: Path) -> None:
+    text = f"{default_text()}\n[view]\nenabled = true\n"
+    application = Application(parse_config(text, registry=discover()), directory=tmp_path)
+    try:
+        chain = [(step.phase.name, step.name) for step in application.tools.chain.steps]
+        features = {*application.features.loaded}
+    finally:
+        application.close()
+    rows = ROW.findall(PAGE)
+    assert [(phase, name) for phase, name, _ in rows] == chain
+    assert {of for *_, of in rows} - {"core"} <= features
+
+
+def test_every_phase_is_on_the_page() -> None:
+    assert {phase for phase, *_ in ROW.findall(PAGE)} == {phase.name for phase in CallPhase}
+
+
+@pytest.mark.parametrize(
+    ("kind", "name"),
+    [
+        (ToolRegistry, "admissions"),
+        (ToolRegistry, "replace"),
+        (ClosedLoop, "choose"),
+        (Events, "call"),
+    ],
+)
+def test_an_older_hook_points_to_the_page(kind: type, name: str) -> None:
+    used: Any = object.__new__(kind)
+    with pytest.raises(PluginError) as read:
+        getattr(used, name)
+    with pytest.raises(PluginError):
+        setattr(used, name, SimpleNamespace())
+    assert "docs/interceptors.md" in read.value.hint
+    assert f"{kind.__name__}.{name}" in read.value.message
