@@ -35,6 +35,8 @@ sys.path.pop(0)
 
 ENDS_S = 3.0
 """The frozen state counts after 0.3 s, a silence after `server_timeout_s`; the arm is braked."""
+MOVES_S = 60.0
+"""A policy on a busy machine."""
 MOVED_RAD = 0.02
 AGAIN_S = 5.2
 """Within 5 s the same fault is recorded once."""
@@ -190,7 +192,7 @@ def trial(
 
     thread = threading.Thread(target=call, daemon=True)
     thread.start()
-    deadline_s = time.monotonic() + 30.0
+    deadline_s = time.monotonic() + MOVES_S
     while not cell.witness.moves():
         if time.monotonic() > deadline_s or (answers and motion != "lead"):
             return result | {"hindered": f"nothing moved: {answers}"[:400]}
@@ -211,8 +213,7 @@ def trial(
             if motion == "run_task" and "'outcome': 'stopped'" not in text:
                 problems.append("the outcome is not stopped")
         took_s = ended_s[0] - lost_s
-        if took_s > ENDS_S:
-            problems.append(f"ended after {took_s:.2f} s")
+        result["is_late"] = took_s > ENDS_S
         words = "has ended by itself" if way == "killed" else "frozen"
         if kind not in text or words not in text:
             problems.append(f"not named: {text[:300]}")
@@ -272,6 +273,7 @@ def quiet(cell: Cell, joint: str, count: int) -> list[str]:
         text = str(answer.structured_content or "") + str(answer.content)
         if "frozen" in text or "has not reported" in text or "'stopped'" in text:
             ended.append(text[:400])
+        print(f"{number + 1} {motion}: {len(ended)} were ended", flush=True)
     return ended
 
 
@@ -323,7 +325,7 @@ def main() -> int:
             with ledger.open("a") as file:
                 file.write(json.dumps(result) + "\n")
             print(json.dumps({k: v for k, v in result.items() if k != "text"}), flush=True)
-    bad = [line for line in known if line["problems"]]
+    bad = [line for line in known if line["problems"] or line.get("is_late")]
     hindered = sum("hindered" in line for line in known)
     longest_s = max((line.get("took_s", 0.0) for line in known), default=0.0)
     print(

@@ -27,14 +27,15 @@ def results(folder: Path, cell: str, *options: str) -> list[dict[str, Any]]:
 def test_a_frozen_policy_ends_a_task_by_its_name(tmp_path: Path) -> None:
     chosen = ("--motions", "run_task", "--ways", "frozen", "--modules", "inference")
     (found,) = results(tmp_path, "fr3", *chosen)
-    assert (found["problems"], found.get("hindered")) == ([], None)
+    # how soon it ends is judged where nothing runs beside it
+    assert (found["problems"], found.get("hindered")) == ([], None), found
 
 
 @pytest.mark.ros
 @pytest.mark.slow
 @pytest.mark.timeout(1300)
-@pytest.mark.parametrize("cell", ["fr3", "pair", "fleet"])
+@pytest.mark.parametrize("cell", ["fr3", "pair", "fleet", "ros2"])
 def test_every_lost_module_ends_every_motion_and_starts_none(cell: str, tmp_path: Path) -> None:
     found = results(tmp_path, cell)
-    assert [one for one in found if one["problems"]] == []
+    assert [one for one in found if one["problems"] or one.get("is_late")] == []
     assert sum("hindered" in one for one in found) < len(found) / 3
