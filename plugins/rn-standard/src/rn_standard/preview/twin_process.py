@@ -39,6 +39,8 @@ COMMAND = (sys.executable, "-m", "roboneuron.hang_watch", "rn_standard.preview.t
 """Command line of a twin, to which the descriptor of its pipe is added."""
 _NICE = 5
 _LEAST_S = 0.05
+_LOOK_S, _FROZEN_S = 0.1, 0.3
+"""Period of checking that the process is not stopped, and for how long it may be, as a module."""
 _END_S = 2.0
 
 
@@ -142,15 +144,36 @@ class TwinProcess:
         """What the twin answers. Raises NotReadyError: with what it failed, or it is gone."""
         try:
             self._pipe.send((name, arguments))
-            if not self._pipe.poll(max(_LEAST_S, self.end_s - time.monotonic())):
-                self._process.kill()
-                raise NotReadyError("The twin of the cell did not answer in time.")
+            self._await_answer()
             answer, failure = self._pipe.recv()
         except (OSError, EOFError) as error:
             raise NotReadyError(f"The twin of the cell has ended: {error!r}.") from error
         if failure:
             raise NotReadyError(f"The twin of the cell failed: {failure}")
         return answer
+
+    def _await_answer(self) -> None:
+        """Wait for an answer. Raises NotReadyError: it is late, or the process is stopped; the
+        process is killed then.
+        """
+        end_s, stops = max(time.monotonic() + _LEAST_S, self.end_s), 0
+        while not self._pipe.poll(min(_LOOK_S, max(0.0, end_s - time.monotonic()))):
+            stops = stops + 1 if self._is_stopped() else 0
+            if stops * _LOOK_S > _FROZEN_S:
+                self._process.kill()
+                raise NotReadyError(
+                    "The twin of the cell is frozen (SIGSTOP or a debugger).", hint="Call again."
+                )
+            if time.monotonic() > end_s:
+                self._process.kill()
+                raise NotReadyError("The twin of the cell did not answer in time.")
+
+    def _is_stopped(self) -> bool:
+        """True if the process is stopped; it stays one to wait for."""
+        with suppress(ChildProcessError):
+            options = os.WSTOPPED | os.WNOHANG | os.WNOWAIT
+            return os.waitid(os.P_PID, self._process.pid, options) is not None
+        return False
 
 
 class _NoTopics:
