@@ -4,21 +4,34 @@ terminal, on the page or in a log can neither control the terminal nor hide or r
 
 from __future__ import annotations
 
+import asyncio
 import json
 import logging
 import sys
 from argparse import ArgumentParser
 from collections.abc import Callable
+from datetime import UTC, datetime
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 from unicodedata import category
 
 import pytest
 
+from rn_interfaces.store import Origin
+from rn_interfaces_learning.command import list_learnt
+from rn_link.state import PeerConnection
+from rn_link_pairing.command import spoken
+from rn_recorder_runs.listing import list_runs
+from rn_recorder_runs.store import RunStore
+from rn_standard.console.plugins_list import print_short, print_table
+from rn_standard.console.plugins_show import show
 from rn_standard.console.status import ReportedModule, ServerStatus
 from rn_standard.limits.command import Limits
 from rn_standard.ops.maintenance import MaintenanceFile
 from rn_standard.ops.maintenance_command import Maintenance
+from rn_standard.tasks.approval import Approval
+from rn_standard.tasks.options import TaskOptions
 from rn_view.diagnostics.alarms import AlarmBook
 from rn_view.diagnostics.event_list import EventList, add_record
 from rn_view.visualization.markup import escape
@@ -30,6 +43,7 @@ from roboneuron.estop.pin import ReleasePin
 from roboneuron.gate import AuditLog
 from roboneuron.log_files import PlainFormatter, printable, quoted
 from roboneuron.modules.report import Report
+from roboneuron.plugins.registry import PluginRecord, Registry, Status
 
 HOSTILE = {
     "escape": "\x1b[2J\x1b[31mall is well",
@@ -155,14 +169,71 @@ def tightened(text: str, folder: Path) -> None:
         terminal.show_error(error)
 
 
+def registry_of(text: str) -> Registry:
+    record = PluginRecord(
+        name="odd",
+        distribution="odd",
+        version="1",
+        module="odd",
+        status=Status.FAILED,
+        reason=text,
+        traceback=text.replace("\n", " "),
+    )
+    return Registry(plugins=(record,), all_offers=())
+
+
+def plugins_list(text: str, folder: Path) -> None:
+    print_short(registry_of(text))
+
+
+def plugins_verbose(text: str, folder: Path) -> None:
+    print_table(registry_of(text))
+
+
+def plugins_show(text: str, folder: Path) -> None:
+    show(registry_of(text), "odd", None)
+
+
+def runs_list(text: str, folder: Path) -> None:
+    store = RunStore(folder)
+    store.make()
+    run = store.recordings / "20260101-000000-a"
+    run.mkdir()
+    said = text.encode("utf-8", "replace").decode()[:200]
+    (run / "run.json").write_text(json.dumps({"name": "a", "state": said}))
+    list_runs(store, as_json=False)
+
+
+def ros_list(text: str, folder: Path) -> None:
+    list_learnt({"a/msg/B": Origin(text, "RIHS01_0")}, as_json=False)
+
+
+def link_status(text: str, folder: Path) -> None:
+    print(spoken(PeerConnection(error=text), datetime.now(UTC)))
+
+
+def approval(text: str, folder: Path) -> None:
+    async def ask(question: str, what: str = "") -> str:
+        print(question)
+        return "yes"
+
+    context: Any = SimpleNamespace(role="operator", ask=ask)
+    options = TaskOptions(approval=("run_task",), approval_roles=("operator",))
+    asyncio.run(Approval(options).ask("run_task", "carry out", text, context))
+
+
 PLACES: dict[str, Callable[[str, Path], None]] = {
     one.__name__: one
     for one in (
         *(estop_status, refused_by_latch, status, module_report, maintenance),
         *(damaged_maintenance, error, file_error, unexpected_error, log_line, on_the_page),
-        *(event, alarm, tightened),
+        *(event, alarm, tightened, plugins_list, plugins_verbose, plugins_show, runs_list),
+        *(ros_list, link_status, approval),
     )
 }
+
+
+SEVERAL_LINES = {"plugins_list", "plugins_verbose", "plugins_show"}
 
 
 @pytest.mark.parametrize("kind", HOSTILE)
@@ -171,9 +242,12 @@ def test_text_cannot_control_what_a_person_sees(
     place: str, kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     PLACES[place](HOSTILE[kind], tmp_path)
-    shown = "".join(capsys.readouterr())
+    shown = "".join(capsys.readouterr()).replace(str(tmp_path), "")
     assert shown
-    assert is_safe(shown.replace(str(tmp_path), ""))
+    assert is_safe(shown, lines=60 if place in SEVERAL_LINES else 1)
+    assert not [
+        one for one in shown.splitlines() if one.lstrip().startswith("The emergency stop is not")
+    ]
 
 
 @pytest.mark.parametrize("kind", HOSTILE)

@@ -29,7 +29,7 @@ from rn_link.machine import Peer, read_machine
 from rn_link.relay import Relay
 from rn_link.state import LOCK, STATE, PeerConnection, StateFile, hint_for, read_connections
 from rn_link.tls import tls_context
-from rn_link_pairing.command import LinkCommand, _spoken
+from rn_link_pairing.command import LinkCommand, spoken
 
 BOUND_S = 20.0
 HUB = Paired(name="robot", role="hub", peers={"gpu": Peer("10.0.0.2", 7411)})
@@ -131,7 +131,7 @@ def test_each_machine_is_told_with_its_time_or_its_error(
 def test_hours_are_told_as_hours() -> None:
     now = datetime(2026, 11, 26, 12, 0, 0, tzinfo=UTC)
     since = (now - timedelta(hours=26, minutes=5)).isoformat(timespec="seconds")
-    assert _spoken(PeerConnection(since=since), now) == (
+    assert spoken(PeerConnection(since=since), now) == (
         "connected for 26 h 5 min, since 2026-11-25 09:55:00 UTC"
     )
 

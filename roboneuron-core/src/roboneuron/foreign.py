@@ -23,6 +23,7 @@ from typing import Any, Protocol, Self, TypeVar, cast
 
 from roboneuron.errors import ForeignDataError, shortened
 from roboneuron.log_files import printable as printable
+from roboneuron.log_files import quoted as quoted
 
 MOST_BYTES = 1 << 20
 """Default size of a document [bytes]."""

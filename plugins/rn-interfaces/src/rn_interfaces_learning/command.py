@@ -5,17 +5,18 @@ from __future__ import annotations
 import json
 import sys
 from argparse import ArgumentParser, Namespace
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rn_interfaces.store import DefinitionStore, parse_name
-from roboneuron import ConfigurationError
+from rn_interfaces.store import DefinitionStore, Origin, parse_name
+from roboneuron import ConfigurationError, foreign
 
 if TYPE_CHECKING:
     from rn_interfaces.learning import Learnt
 
 GRAPH = "graph"
+_MOST_OF_LINE = 1000
 
 
 class Ros:
@@ -47,7 +48,7 @@ class Ros:
         if arguments.action == "learn":
             return _learn(store, arguments.sources)
         if arguments.action == "list":
-            return _list(store, arguments.json)
+            return list_learnt(store.origins(), arguments.json)
         if arguments.action == "forget":
             return _forget(store, arguments.package)
         return _show(store, arguments.type)
@@ -80,11 +81,16 @@ def _report(learnt: Learnt) -> None:
     counted = (
         f"{len(learnt.added)} learnt, {len(learnt.known)} known, {len(learnt.refused)} refused."
     )
-    sys.stdout.write("".join(f"{line}\n" for line in [*lines, counted]))
+    _write([*lines, counted])
 
 
-def _list(store: DefinitionStore, as_json: bool) -> int:
-    origins = store.origins()
+def _write(lines: Sequence[str]) -> None:
+    """Write lines, which contain words of the files and nodes that were read."""
+    sys.stdout.write("".join(f"{foreign.printable(line, _MOST_OF_LINE)}\n" for line in lines))
+
+
+def list_learnt(origins: Mapping[str, Origin], as_json: bool) -> int:
+    """Print what is learnt."""
     if as_json:
         facts = {name: origin._asdict() for name, origin in sorted(origins.items())}
         sys.stdout.write(json.dumps(facts, indent=2) + "\n")
@@ -93,7 +99,7 @@ def _list(store: DefinitionStore, as_json: bool) -> int:
         sys.stdout.write("Nothing is learnt. Try `roboneuron ros learn graph`.\n")
     width = max(map(len, origins), default=0)
     for name, origin in sorted(origins.items()):
-        sys.stdout.write(f"{name:<{width}}  {origin.type_hash[:19]}  {origin.source}\n")
+        _write([f"{name:<{width}}  {origin.type_hash[:19]}  {origin.source}"])
     return 0
 
 
@@ -105,7 +111,8 @@ def _show(store: DefinitionStore, type_name: str) -> int:
             hint="`roboneuron ros list` shows what is; `roboneuron describe` shows compiled types.",
         )
     origin = store.origins()[str(name)]
-    sys.stdout.write(f"# {name}\n# {origin.type_hash}\n# from {origin.source}\n{store.text(name)}")
+    head = (f"# {name}", f"# {origin.type_hash}", f"# from {origin.source}")
+    _write([*head, *store.text(name).splitlines()])
     return 0
 
 

@@ -21,7 +21,7 @@ from rn_link.machine import (
     read_machine,
 )
 from rn_link.state import PeerConnection, read_connections
-from roboneuron import ConfigurationError
+from roboneuron import ConfigurationError, foreign
 
 _DAYS = 365
 _PAIRING_PORT = 7410
@@ -89,7 +89,7 @@ class LinkCommand:
         for name in machine.peers:
             one = _connection(connections, name)
             hint = "" if one.is_open else one.hint or "Check again in a moment."
-            found.append((one.is_open, f"The machine {name} is {_spoken(one, now)}.", hint))
+            found.append((one.is_open, f"The machine {name} is {spoken(one, now)}.", hint))
         return found
 
     def run(self, arguments: Namespace) -> int:
@@ -137,7 +137,7 @@ def _join(folder: Path, arguments: Namespace) -> None:
             hint="Type `roboneuron link remove --all` first, if its members no longer need it.",
         )
     port_here = check_port(arguments.port)
-    sys.stderr.write(f"Code that {address} shows: ")
+    sys.stderr.write(f"Code that {foreign.printable(address)} shows: ")
     sys.stderr.flush()
     code = check_code(sys.stdin.readline())
     machine = join(folder, address, _port(port), code, port_here)
@@ -203,9 +203,9 @@ def _show(folder: Path, as_json: bool) -> None:
             _say(f"{name:<{width}}  {told}")
             continue
         connection = _connection(connections, name)
-        _say(f"{name:<{width}}  {told}; {_spoken(connection, now)}")
+        _say(f"{name:<{width}}  {told}; {spoken(connection, now)}")
         if connection.hint:
-            _say(f"{'':<{width}}  {connection.hint}")
+            _say(f"{'':<{width}}  {foreign.printable(connection.hint)}")
     if connections is None and machine.peers:
         _say(_NO_RELAY)
 
@@ -214,10 +214,10 @@ def _connection(connections: Mapping[str, PeerConnection], name: str) -> PeerCon
     return connections.get(name, PeerConnection(error="it is being connected"))
 
 
-def _spoken(connection: PeerConnection, now: datetime) -> str:
+def spoken(connection: PeerConnection, now: datetime) -> str:
     """State of a connection in words."""
     if not connection.is_open:
-        return f"NOT connected: {connection.error}"
+        return f"NOT connected: {foreign.printable(connection.error)}"
     seconds = max(0, int((now - datetime.fromisoformat(connection.since)).total_seconds()))
     hours, minutes = divmod(seconds // 60, 60)
     lasted = f"{hours} h {minutes} min" if hours else f"{minutes} min {seconds % 60} s"

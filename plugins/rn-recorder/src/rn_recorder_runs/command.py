@@ -219,7 +219,7 @@ def _label(store: RunStore, arguments: Namespace) -> int:
         comment=arguments.comment,
         episode=arguments.episode,
     )
-    print(f"{run.id}: {' '.join(text for text in label.values() if text)}")
+    print(foreign.printable(f"{run.id}: {' '.join(text for text in label.values() if text)}"))
     return 0
 
 

@@ -13,6 +13,9 @@ from rn_recorder_runs.files import is_finished, read_about
 from rn_recorder_runs.reading import count_topics, iterate
 from rn_recorder_runs.repairing import read_origin
 from rn_recorder_runs.store import Run, RunStore, decoded_event
+from roboneuron import foreign
+
+_MOST_OF_ROW = 1000
 
 
 def list_runs(store: RunStore, as_json: bool) -> int:
@@ -41,7 +44,8 @@ def list_runs(store: RunStore, as_json: bool) -> int:
         print(json.dumps(rows, indent=1))
         return 0
     for row in rows:
-        what = " ".join(str(row[key]) for key in ("state", "outcome", "note") if row[key])
+        told = " ".join(str(row[key]) for key in ("state", "outcome", "note") if row[key])
+        what = foreign.printable(told)
         size = f"{row['size_bytes'] / 1e6:.1f} MB"
         print(
             f"{row['id']:<52} {row['kind']:<9} {row['duration_s']:>7.1f} s {size:>11} "
@@ -86,7 +90,7 @@ def show_run(run: Run, as_json: bool) -> int:
         said = f"robot {about.get('robot', '?')}, images {about.get('images', '?')}"
     else:
         said = f"of another program: {origin or 'no MCAP file'}"
-    print(f"{run.id} ({run.kind}), {said}")
+    print(f"{run.id} ({run.kind}), {foreign.printable(said)}")
     for path in run.files:
         print(f"  {path}")
     print(f"\n{'topic':<46} {'type':<34} {'count':>7} {'rate':>8} {'lost':>5}")
@@ -95,7 +99,7 @@ def show_run(run: Run, as_json: bool) -> int:
         rate = f"{(counts.messages - 1) / span_s:.1f} Hz" if span_s > 0 else ""
         lost = "?" if counts.lost is None else str(counts.lost)
         shown = f"{topic:<46} {counts.type:<34} {counts.messages:>7} {rate:>8} {lost:>5}"
-        print(f"{shown}  {counts.note}".rstrip())
+        print(foreign.printable(f"{shown}  {counts.note}".rstrip(), _MOST_OF_ROW))
     print()
     for event in events:
         facts = {

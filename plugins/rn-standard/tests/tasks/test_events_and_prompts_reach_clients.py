@@ -272,7 +272,7 @@ def test_a_person_is_asked_before_the_arm_moves(application: Application, agrees
             return await client.call_tool("move_to", {"name": "rest"})
 
     result = anyio.run(ask)
-    assert asked == ["Let the robot move to 'rest'?"]
+    assert asked == ['Let the robot move to "rest"?']
     assert result.is_error
     expected = "There is no tool move_joints now" if agrees else "A person did not approve move_to"
     assert expected in text_of(result)

@@ -10,7 +10,7 @@ from argparse import ArgumentParser, Namespace
 from collections.abc import Sequence
 
 from rn_standard.console.chosen_plugins import add_config, read_disabled
-from roboneuron import CONTRACT_VERSION, __version__
+from roboneuron import CONTRACT_VERSION, __version__, foreign
 from roboneuron.command import (
     Offer,
     PluginRecord,
@@ -22,6 +22,8 @@ from roboneuron.command import (
 )
 
 SCHEMA_VERSION = 1
+MOST_OF_REASON = 2000
+"""Characters of a text of a plugin or of its failure that are shown."""
 """Version of the JSON document, incremented when a key changes its meaning or is removed; keys may
 be added at any time.
 """
@@ -182,7 +184,8 @@ def _print_trouble(registry: Registry) -> None:
         )
         for reason in reasons:
             names = [f"{o.spec.kind} {o.spec.name}" for o in record.offers if o.reason == reason]
-            print(_wrapped(f"  {', '.join(names)}: {reason}" if names else f"  {reason}", 2))
+            told = foreign.printable(reason, MOST_OF_REASON)
+            print(_wrapped(f"  {', '.join(names)}: {told}" if names else f"  {told}", 2))
         if record.traceback:
             print(_paint(f"  traceback: roboneuron plugins show {record.name}", "dim"))
 
@@ -207,7 +210,10 @@ def _rows(record: PluginRecord) -> Sequence[tuple[str, str, Status, str, str]]:
     plugin = f"{record.name} {record.version}".strip()
     if not record.offers:
         return [("-", "-", record.status, plugin, "")]
-    return [(o.spec.kind, o.spec.name, o.status, plugin, o.spec.summary) for o in record.offers]
+    return [
+        (o.spec.kind, o.spec.name, o.status, plugin, foreign.printable(o.spec.summary))
+        for o in record.offers
+    ]
 
 
 def _line(cells: Sequence[str], widths: Sequence[int]) -> str:

@@ -8,8 +8,8 @@ from dataclasses import fields, is_dataclass
 
 from rn_standard.console.chosen_plugins import add_config, find, read_disabled
 from rn_standard.console.options import describe_options
-from rn_standard.console.plugins_list import STYLES
-from roboneuron import DriverSpec, RobotSpec, Spec
+from rn_standard.console.plugins_list import MOST_OF_REASON, STYLES
+from roboneuron import DriverSpec, RobotSpec, Spec, foreign
 from roboneuron.command import (
     PLUGIN_KINDS,
     Offer,
@@ -54,7 +54,7 @@ def show(registry: Registry, name: str, kind: str | None) -> int:
             console.print(Text(f"  distribution: {record.distribution}"))
         console.print(Text(f"  module: {record.module}"))
         if record.reason:
-            console.print(Text(f"  reason: {record.reason}"))
+            console.print(Text(f"  reason: {foreign.printable(record.reason, MOST_OF_REASON)}"))
         for offer in offers:
             console.print(
                 Text.assemble("\n  ", offer.spec.kind, " ", (offer.spec.name, "bold"), "  ").append(
@@ -62,11 +62,12 @@ def show(registry: Registry, name: str, kind: str | None) -> int:
                 )
             )
             for key, value in facts(offer.spec):
-                console.print(Text(f"    {key}: {value}"))
+                console.print(Text(f"    {key}: {foreign.printable(str(value), MOST_OF_REASON)}"))
             for line in _options(offer):
-                console.print(Text(f"    {line}"))
+                console.print(Text(f"    {foreign.printable(line, MOST_OF_REASON)}"))
         if record.traceback:
-            console.print(Text(f"\n{record.traceback.rstrip()}", style="dim"))
+            lines = [foreign.printable(line) for line in record.traceback.rstrip().split("\n")]
+            console.print(Text("\n" + "\n".join(lines), style="dim"))
     return 0
 
 

@@ -230,7 +230,7 @@ def move_to_tool(mover: Mover, places: Places, approval: Approval) -> Tool[MoveT
     async def handler(arguments: MoveToArguments, context: CallContext) -> MovedTo:
         check_no_preview(arguments.given())
         if arguments.name in places.choices():
-            await approval.ask("move_to", f"Let the robot move to {arguments.name!r}?", context)
+            await approval.ask("move_to", "move to", arguments.name, context)
         return await mover(arguments.name, context)
 
     return Tool(

@@ -152,7 +152,7 @@ class TaskTool:
         for kind in ("robot", "control"):
             self._host.modules.require_running(kind)
         self._check_grippers(predicate, profile)
-        await self._approval.ask("run_task", f"Let the robot carry out {instruction!r}?", context)
+        await self._approval.ask("run_task", "carry out", instruction, context)
         plan = self._plan(arguments)
         halt = threading.Event()
 
