@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -41,6 +42,14 @@ class Cell:
             setattr(message, name, value)
         self.images.publish(message)
         return int(stamp_ns)
+
+    def send_until(self, is_done: Callable[[], bool], **image: Any) -> bool:
+        """Send an image, or one of a few: on a busy machine one may be late."""
+        for _ in range(10):
+            self.send_image(**image)
+            if holds_within(is_done, 2.0):
+                return True
+        return False
 
     def status(self) -> dict[str, str]:
         return dict(self._status_of(self.inference))
