@@ -109,10 +109,11 @@ class ModuleRig:
         self.wait_for(
             lambda: (
                 self.reaches(0.0)
+                and bool(self.measured)
                 and self._commands.get_subscription_count() > 0
                 and self._stops.get_subscription_count() > 0
             ),
-            "joint states",
+            "joint states of the module and of the controller",
         )
 
     def wait_for(self, condition: Callable[[], bool], what: str) -> None:
