@@ -68,6 +68,9 @@ class Module:
         self._end_s = self._world.clock.now_s + (6.0 if self.is_slow_to_die else 0.0)
         self.exit_code = None if self.is_slow_to_die else -9
 
+    def leaves(self, timeout_s: float) -> bool:
+        return self.wait(timeout_s)
+
     def wait(self, timeout_s: float) -> bool:
         clock = self._world.clock
         self._world.calls.append(("wait", self.pid, round(timeout_s, 6)))

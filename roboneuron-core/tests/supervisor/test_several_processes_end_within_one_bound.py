@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import signal
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -140,6 +141,9 @@ class Fake:
         self._clock.now_s = max(self._clock.now_s, until_s)
         return self._end_s <= self._clock.now_s
 
+    def leaves(self, timeout_s: float) -> bool:
+        return self.wait(timeout_s)
+
 
 def end(processes: Sequence[Fake], timeout_s: float) -> set[int]:
     return process_module.end_processes(processes, timeout_s)  # type: ignore[arg-type]
@@ -182,6 +186,16 @@ def test_the_bound_holds_for_all_together(clock: Clock, caplog: pytest.LogCaptur
     assert "module-1 (pid 1) did not leave within 3 s" in caplog.text
 
 
+def test_a_frozen_process_is_killed_without_a_wait_for_its_end(start: Spawn) -> None:
+    frozen, ends = start("cat"), start("cat")
+    os.kill(frozen.pid, signal.SIGSTOP)
+    wait_until(lambda: state_of(frozen.pid) == "T", SOON_S, "it runs")
+    begun_s = time.monotonic()
+    assert process_module.end_processes([frozen, ends], 60.0) == {frozen.pid}
+    assert time.monotonic() - begun_s < SOON_S
+    assert (frozen.exit_code, ends.exit_code) == (-signal.SIGKILL, -signal.SIGTERM)
+
+
 def test_no_process_gets_less_than_no_time_to_leave(clock: Clock) -> None:
     calls: list[tuple[Any, ...]] = []
     late = Fake(1, clock, calls)
@@ -199,7 +213,7 @@ def test_no_process_gets_less_than_no_time_to_leave(clock: Clock) -> None:
         clock.now_s += 1.0
         return is_gone
 
-    deadline_passed.wait = oversleep  # type: ignore[method-assign]
+    deadline_passed.leaves = oversleep  # type: ignore[method-assign]
     end([deadline_passed, late, other], 0.5)
     assert ("wait", 2, 0.0) in calls
 

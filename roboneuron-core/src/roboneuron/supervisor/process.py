@@ -32,6 +32,8 @@ _TAIL_BYTES = 64 * 1024
 """Bytes read from a log's end; a model may have logged gigabytes."""
 KILL_S = 5.0
 """Timeout after SIGKILL; the kernel needs no more unless the process hangs in a driver."""
+_LOOK_S = 0.1
+"""Period of checking that a process whose end is waited for is not frozen."""
 _FROZEN_S = 0.3
 """Minimum time for a stopped process to count as frozen: a debugger or job control may stop it
 briefly.
@@ -196,6 +198,14 @@ class ModuleProcess:
         """Return True if it ended, was reaped and cleaned up within `timeout_s`."""
         return self._exited.wait(timeout_s)
 
+    def leaves(self, timeout_s: float) -> bool:
+        """As `wait`, but False as soon as it is frozen, because it cannot end then."""
+        end_s = time.monotonic() + timeout_s
+        while not self.wait(min(_LOOK_S, max(0.0, end_s - time.monotonic()))):
+            if self.is_frozen() or time.monotonic() >= end_s:
+                return False
+        return True
+
     def reap(self, on_exit: Callable[[ModuleProcess], None]) -> None:
         """Wait for its end on another thread; then kill the rest of its group, reap it, and call
         `on_exit`.
@@ -222,7 +232,7 @@ class ModuleProcess:
 
 def end_processes(processes: Sequence[ModuleProcess], timeout_s: float) -> set[int]:
     """Send SIGTERM, wait for a bounded time, send SIGKILL, reap; return the pids that had to be
-    killed.
+    killed. A frozen process is not waited for, because it cannot handle SIGTERM.
 
     All processes get SIGTERM before the first wait, so that they exit in parallel, within one
     bound.
@@ -240,9 +250,9 @@ def end_processes(processes: Sequence[ModuleProcess], timeout_s: float) -> set[i
     deadline_s = time.monotonic() + timeout_s
     killed = set()
     for process in processes:
-        if not process.wait(max(0.0, deadline_s - time.monotonic())):
+        if not process.leaves(max(0.0, deadline_s - time.monotonic())):
             log.warning(
-                "%s (pid %d) did not leave within %g s: killed.",
+                "%s (pid %d) did not leave within %g s, or is frozen: killed.",
                 process.name,
                 process.pid,
                 timeout_s,
