@@ -9,7 +9,6 @@ import uuid
 from collections import Counter
 from collections.abc import Awaitable, Callable, Iterable
 from contextlib import suppress
-from dataclasses import replace
 from functools import partial
 from typing import Any, Literal, Protocol
 
@@ -166,17 +165,16 @@ class CallChain:
             RoboNeuronError: it was refused or failed.
             UnfinishedCallError: the client's user is asked.
         """
-        for index in range(first, len(self.steps)):
-            step = self.steps[index]
-            if step.tools is not None and call.name not in step.tools:
+        for after, tools, check, change, around in self._rest[first]:
+            if tools is not None and call.name not in tools:
                 continue
-            if step.around is not None:
-                return await step.around(call, partial(self.run, first=index + 1))
-            if step.change is not None:
-                call = step.change(call)
+            if change is not None:
+                call = change(call)
+            elif around is not None:
+                return await around(call, partial(self.run, first=after))
             # from IDENTITY on there is a tool; no check comes before
-            elif step.check is not None and call.found is not None:
-                step.check(call.found, call.context)
+            elif check is not None and call.found is not None:
+                check(call.found, call.context)
         return await self._handle(call)
 
     def _add(self, *steps: Interceptor) -> None:
@@ -190,6 +188,12 @@ class CallChain:
             if names.count(step.name) > 1:
                 raise InternalError(f"There are two interceptors called {step.name!r}.")
         self.steps = tuple(ordered)
+        # every call passes these: tuples are read faster than attributes
+        parts = [
+            (after, step.tools, step.check, step.change, step.around)
+            for after, step in enumerate(ordered, 1)
+        ]
+        self._rest = [parts[first:] for first in range(len(parts) + 1)]
 
     def _simulate(self, call: IncomingCall) -> IncomingCall:
         """Hand on a call that asks for a preview as a call of the simulator's tool, which only
@@ -268,7 +272,13 @@ class CallChain:
 
     def _parse(self, call: IncomingCall) -> IncomingCall:
         assert call.found is not None
-        return replace(call, parsed=call.found.parsed(call.arguments))
+        return IncomingCall(
+            name=call.name,
+            arguments=call.arguments,
+            context=call.context,
+            found=call.found,
+            parsed=call.found.parsed(call.arguments),
+        )
 
     async def _handle(self, call: IncomingCall) -> Answer:
         """Call the handler and complete its answer. Raises InvalidInputError: it is too long."""
@@ -284,7 +294,7 @@ class CallChain:
                 f"The answer of {tool.name} has {len(text)} characters: too many.",
                 hint="Ask for less: its arguments narrow what it answers.",
             )
-        return replace(answer, structured=structured, text=text)
+        return Answer(structured=structured, pictures=answer.pictures, text=text)
 
 
 def incident(name: str) -> InternalError:
