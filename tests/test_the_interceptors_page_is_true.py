@@ -24,7 +24,7 @@ ROW = re.compile(r"^\| ([A-Z]+) \| `([^`]+)` \| (\S+) \|", re.MULTILINE)
 
 
 def test_the_page_lists_the_chain_of_a_server_with_all_features(tmp_path: Path) -> None:
-    text = f"{default_text()}\n[view]\nenabled = true\n"
+    text = f"{default_text()}\n[view]\nenabled = true\n[tasks]\napproval = ['run_task']\n"
     application = Application(parse_config(text, registry=discover()), directory=tmp_path)
     try:
         chain = [(step.phase.name, step.name) for step in application.tools.chain.steps]

@@ -70,7 +70,7 @@ class Cell:
             loop=SimpleNamespace(starts=SimpleNamespace(arm_stops=0, reason="")),
         )
 
-    async def ask(self, *_: object) -> None:
+    async def ask(self, *_: object, **__: object) -> None:
         raise AskedError
 
     def run_task(self, until: dict[str, Any]) -> None:
@@ -78,14 +78,13 @@ class Cell:
             self.host,
             TaskOptions(),
             arbiter=None,  # type: ignore[arg-type]
-            approval=self,  # type: ignore[arg-type]
             move_to=None,  # type: ignore[arg-type]
             names=list,
             ended=lambda *_: None,
             failed=lambda *_: None,
             contrary=lambda *_: None,
         )
-        anyio.run(tool, RunTask(instruction="try", until=until), SimpleNamespace())
+        anyio.run(tool, RunTask(instruction="try", until=until), SimpleNamespace(run=self.ask))
 
     def move_to(self, place: PlaceOptions) -> None:
         def pose(arm: str) -> Any:

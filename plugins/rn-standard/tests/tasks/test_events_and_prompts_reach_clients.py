@@ -257,6 +257,29 @@ def test_a_client_that_cannot_ask_a_person_is_refused_where_approval_is_wanted(
     assert "A person must approve move_to" in text_of(result)
 
 
+@pytest.mark.parametrize(
+    ("tool", "arguments"),
+    [
+        ("run_task", {"instruction": "go", "on_end": "nowhere"}),
+        ("run_task", {"instruction": "go"}),  # the robot is not running
+        ("move_to", {"name": "nowhere"}),
+    ],
+)
+def test_no_person_is_asked_about_a_call_that_is_refused(
+    application: Application, tool: str, arguments: dict[str, Any]
+) -> None:
+    async def answer(context: Any, params: Any) -> types.ElicitResult:
+        pytest.fail(params.message)
+
+    async def ask() -> types.CallToolResult:
+        async with Client(application.server, elicitation_callback=answer) as client:
+            return await client.call_tool(tool, arguments)
+
+    result = anyio.run(ask)
+    assert result.is_error
+    assert "approve" not in text_of(result)
+
+
 @pytest.mark.parametrize("agrees", [True, False])
 def test_a_person_is_asked_before_the_arm_moves(application: Application, agrees: bool) -> None:
     asked: list[str] = []

@@ -6,13 +6,14 @@ import json
 import time
 from collections.abc import Sequence
 from dataclasses import asdict
+from functools import partial
 from typing import TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rn_standard.selection.options import named_models
-from rn_standard.tasks.approval import Approval
+from rn_standard.tasks.approval import Approval, Subject
 from rn_standard.tasks.arbiter import TaskArbiter
 from rn_standard.tasks.events import LEADS, MONITORS, TASKS, EventLog, Watching, check_thresholds
 from rn_standard.tasks.examples import EXAMPLES
@@ -20,7 +21,7 @@ from rn_standard.tasks.history import TaskHistory
 from rn_standard.tasks.hooks import MonitorSpec
 from rn_standard.tasks.inputs import Inputs, pose_of, pose_topic
 from rn_standard.tasks.lifecycle import list_models_tool, start_all_tool
-from rn_standard.tasks.moving import Mover, Places, check_places, move_to_tool
+from rn_standard.tasks.moving import Mover, Places, check_places, move_to_subject, move_to_tool
 from rn_standard.tasks.options import TasksSections
 from rn_standard.tasks.predicates import ADAPTER
 from rn_standard.tasks.prompts import offer_prompts
@@ -78,32 +79,38 @@ class TasksFeature(Feature[TasksSections]):
         self._events = EventLog(self.options.events.kept, host.events.resource.tell)
         self._watching = Watching(host, self.options.events, self._events)
         self._history = TaskHistory(host.state_directory)
-        approval = Approval(self.options.tasks)
         places = Places(host, self.options)
         mover = Mover(host, places, self._pose_now)
         task = TaskTool(
             host,
             self.options.tasks,
             arbiter,
-            approval,
             mover,
             places.choices,
             self._note_end,
             self._note_failure,
             lambda facts: self._events.add(MONITORS, **facts),
         )
+        subjects: dict[str, Subject] = {
+            "run_task": task.subject,
+            "move_to": partial(move_to_subject, places),
+        }
+        self._approval = Approval(self.options.tasks, subjects)
         return [
             start_all_tool(host),
             run_task_tool(task),
             self._history.tool(),
-            move_to_tool(mover, places, approval),
+            move_to_tool(mover, places),
             *([list_models_tool(host)] if named_models(host.config) else []),
         ]
 
     def interceptors(self, host: Host) -> Sequence[Interceptor]:
         """See `Feature.interceptors`."""
         assert self._arbiter is not None
-        return [Interceptor(name="task", phase=CallPhase.ARBITRATION, check=self._arbiter.admit)]
+        return [
+            Interceptor(name="task", phase=CallPhase.ARBITRATION, check=self._arbiter.admit),
+            *self._approval.interceptors(),
+        ]
 
     def resources(self, host: Host) -> Sequence[Resource]:
         """See `Feature.resources`."""

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from rn_standard.direct_path.exposed import check_no_preview
-from rn_standard.tasks.approval import Approval
 from rn_standard.tasks.options import PlaceOptions, PostureOptions, TasksSections
 from rn_standard.tasks.run_task import profile_of
 from rn_standard.tools_arm.grip import check_gripper
@@ -224,13 +223,17 @@ def check_places(options: TasksSections) -> None:
             raise InvalidInputError(f"The quaternion of the place {name!r} is not of unit length.")
 
 
-def move_to_tool(mover: Mover, places: Places, approval: Approval) -> Tool[MoveToArguments]:
+def move_to_subject(places: Places, arguments: MoveToArguments) -> tuple[str, str] | None:
+    """What a person is asked to approve, see `Approval`; None for an unknown name."""
+    check_no_preview(arguments.given())
+    return ("move to", arguments.name) if arguments.name in places.choices() else None
+
+
+def move_to_tool(mover: Mover, places: Places) -> Tool[MoveToArguments]:
     """move_to."""
 
     async def handler(arguments: MoveToArguments, context: CallContext) -> MovedTo:
         check_no_preview(arguments.given())
-        if arguments.name in places.choices():
-            await approval.ask("move_to", "move to", arguments.name, context)
         return await mover(arguments.name, context)
 
     return Tool(

@@ -15,7 +15,6 @@ from rn_standard.direct_path.fields import check_path, load_type
 from rn_standard.inference.instruction_text import InstructionText
 from rn_standard.selection.restricted import restricted_values
 from rn_standard.stepped.clock import is_stepped
-from rn_standard.tasks.approval import Approval
 from rn_standard.tasks.arbiter import TaskArbiter
 from rn_standard.tasks.guarded import SLOW_S, AskedMonitor
 from rn_standard.tasks.hooks import MonitorSpec
@@ -91,7 +90,6 @@ class TaskTool:
         host: Host,
         options: TaskOptions,
         arbiter: TaskArbiter,
-        approval: Approval,
         move_to: MoveTo,
         names: Callable[[], Iterable[str]],
         ended: Callable[[str, TaskEnd], object],
@@ -99,7 +97,7 @@ class TaskTool:
         contrary: Notify,
     ) -> None:
         """Args:
-        host, options, arbiter, approval: those of the feature.
+        host, options, arbiter: those of the feature.
         move_to: moves to a posture or place, for `on_end`.
         names: returns the names known to `move_to`.
         ended: called at every task's end, with its instruction.
@@ -109,7 +107,6 @@ class TaskTool:
         self._host = host
         self._options = options
         self._arbiter = arbiter
-        self._approval = approval
         self._move_to = move_to
         self._names = names
         self._ended = ended
@@ -132,27 +129,9 @@ class TaskTool:
 
     async def __call__(self, arguments: RunTask, context: CallContext) -> Reply:
         """Raises InvalidInputError, RefusedError, StateError, NotReadyError."""
-        check_no_preview(arguments.given())
         instruction = arguments.instruction
-        predicate = None if arguments.until is None else parse_predicate(arguments.until)
-        known = [HOLD, STOP, *self._names()]
-        if arguments.on_end not in known:
-            raise InvalidInputError(
-                f"on_end is {arguments.on_end[:64]!r}.",
-                hint=f"Choose one of: {', '.join(known)}.",
-                path="on_end",
-            )
-        profile = profile_of(self._host)
+        predicate, profile, judge = self._checked(arguments, self._remembered_monitor)
         topics = {} if predicate is None else topics_of(predicate)
-        judge = (
-            None
-            if predicate is None
-            else judge_of(predicate, instruction, profile, self._remembered_monitor)
-        )
-        for kind in ("robot", "control"):
-            self._host.modules.require_running(kind)
-        self._check_grippers(predicate, profile)
-        await self._approval.ask("run_task", "carry out", instruction, context)
         plan = self._plan(arguments)
         halt = threading.Event()
 
@@ -179,6 +158,39 @@ class TaskTool:
             raise
         ended_with = await self._finish(arguments.on_end, end, context)
         return Reply(result=task_result(end, ended_with), pictures=(*end.before, *end.after))
+
+    def subject(self, arguments: RunTask) -> tuple[str, str]:
+        """What a person is asked to approve, see `Approval`. Raises as a call; monitors remember
+        nothing of it.
+        """
+        self._checked(arguments, self._new_monitor)
+        return "carry out", arguments.instruction
+
+    def _checked(
+        self, arguments: RunTask, monitor_for: MonitorFor
+    ) -> tuple[Predicate | None, RobotProfile | None, PredicateJudge | None]:
+        """The predicate, the robot and the judge of a task that could be carried out now."""
+        check_no_preview(arguments.given())
+        predicate = None if arguments.until is None else parse_predicate(arguments.until)
+        known = [HOLD, STOP, *self._names()]
+        if arguments.on_end not in known:
+            raise InvalidInputError(
+                f"on_end is {arguments.on_end[:64]!r}.",
+                hint=f"Choose one of: {', '.join(known)}.",
+                path="on_end",
+            )
+        profile = profile_of(self._host)
+        if predicate is not None:
+            topics_of(predicate)
+        judge = (
+            None
+            if predicate is None
+            else judge_of(predicate, arguments.instruction, profile, monitor_for)
+        )
+        for kind in ("robot", "control"):
+            self._host.modules.require_running(kind)
+        self._check_grippers(predicate, profile)
+        return predicate, profile, judge
 
     async def _finish(self, on_end: str, end: TaskEnd, context: CallContext) -> str:
         """Perform the action at the end; its failure does not change the outcome."""
