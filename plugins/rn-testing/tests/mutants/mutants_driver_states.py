@@ -8,6 +8,7 @@ import numpy as np
 from mutation import Mutant, mutants_of
 
 from rn_testing.fakes import FakeDriver
+from roboneuron.contract import JointCommand
 
 but = mutants_of("driver", FakeDriver)
 
@@ -64,7 +65,18 @@ def opens_on_hold(self, call):
     self._move(here, here, 0.0)
 
 
+def goes_home(self, call):
+    """Goes home first, if it is open."""
+    if self._start is not None:
+        home = self._profile.home_rad
+        self.send(
+            JointCommand(names=self._profile.arm_joints, position=home.copy(), duration_s=2.0)
+        )
+    call()
+
+
 MUTANTS: dict[str, Mutant] = {
+    "driver_goes_home_when_it_is_closed": but("close-stands-still", close=goes_home),
     "driver_states_share_an_array": but("state-kept", read=shared_state),
     "driver_hold_opens_the_gripper": but("hold-stops", "gripper", hold=opens_on_hold),
     "driver_unnamed_joints_to_zero": but(

@@ -6,8 +6,11 @@ from contextlib import suppress
 
 import numpy as np
 
+from rn_testing.attempts import attempt
 from rn_testing.cases import RobotCase
-from rn_testing.rule import Rule, Violation, require
+from rn_testing.fakes import MemoryTopics
+from rn_testing.lifecycle import started
+from rn_testing.rule import NotApplicable, Rule, Violation, require
 from rn_testing.rules.clock import ros_clock
 from rn_testing.rules.driver import (
     arm_command,
@@ -151,6 +154,34 @@ def _check_after_hold(case: RobotCase) -> None:
         check_arrival(case, driver, goal, sent, "a command after hold()")
 
 
+def _check_close_still(case: RobotCase) -> None:
+    arm_limits(case)
+    build = attempt(case, lambda: case.prepare(MemoryTopics(ros_clock)))
+    sent: list[JointCommand] = []
+
+    def watched() -> RobotDriver:
+        driver: RobotDriver = build()
+        send = driver.send
+
+        def noted(command: JointCommand) -> JointCommand:
+            sent.append(command)
+            return send(command)
+
+        try:
+            driver.send = noted  # type: ignore[method-assign]
+        except AttributeError:
+            raise NotApplicable("methods of the driver cannot be replaced") from None
+        return driver
+
+    with started(case, watched, lambda driver: driver.open()) as driver:
+        arm_position(case, driver)
+        sent.clear()
+    require(
+        not sent,
+        f"close() sent {len(sent)} commands; what surrounds the arm then is not known",
+    )
+
+
 RULES: tuple[Rule[RobotCase], ...] = (
     driver_rule(
         "hold-stops",
@@ -159,6 +190,7 @@ RULES: tuple[Rule[RobotCase], ...] = (
         _check_hold,
     ),
     driver_rule("open-stands-still", "`open` moves nothing.", "open", _check_open_still),
+    driver_rule("close-stands-still", "`close` sends no motion.", "close", _check_close_still),
     driver_rule(
         "state-fresh",
         "A state is stamped when it was measured, not when it is read.",
