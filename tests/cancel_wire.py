@@ -18,20 +18,33 @@ from typing import Any, Literal
 from urllib.parse import urlsplit
 
 import httpx2
+import psutil
 from mcp_types import CLIENT_CAPABILITIES_META_KEY, PROTOCOL_VERSION_META_KEY
 from mcp_types.version import HANDSHAKE_PROTOCOL_VERSIONS
 
 from rn_testing.waiting import holds_within, wait_until
 
 Way = Literal[
-    "notification", "id as text", "stream closed", "client killed", "session deleted", "wrong id"
+    "notification",
+    "id as text",
+    "stream closed",
+    "client killed",
+    "session deleted",
+    "stdin closed",
+    "wrong id",
 ]
-"""How a call is cancelled. A killed client's connections are reset, or its pipes are closed."""
+"""How a call is cancelled. A killed client's connections are reset; over stdio the process that
+holds the pipes is killed.
+"""
 HTTP_WAYS: tuple[Way, ...] = (
     *("notification", "id as text", "stream closed", "client killed", "session deleted"),
     "wrong id",
 )
-STDIO_WAYS: tuple[Way, ...] = ("notification", "id as text", "wrong id", "client killed")
+STDIO_WAYS: tuple[Way, ...] = (
+    *("notification", "id as text", "wrong id", "client killed", "stdin closed"),
+)
+LAST_WAYS: tuple[Way, ...] = ("client killed", "stdin closed")
+"""Over stdio the server ends with them."""
 ACCEPT = "application/json, text/event-stream"
 TOKEN = "the-token-of-this-test"
 TOKENS = """
@@ -44,6 +57,21 @@ variable = "TEST_TOKEN"
 HELLO = {"capabilities": {}, "clientInfo": {"name": "by-hand", "version": "1"}}
 _RESET = struct.pack("ii", 1, 0)
 """SO_LINGER with a time of 0: close() resets the connection."""
+_HOLDER = """
+import subprocess, sys, threading
+server = subprocess.Popen(sys.argv[2:], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+with open(sys.argv[1], "w") as file:
+    file.write(str(server.pid))
+def copy(source, sink):
+    while data := source.read1(65536):
+        sink.write(data)
+        sink.flush()
+    sink.close()
+threading.Thread(target=copy, args=(server.stdout, sys.stdout.buffer), daemon=True).start()
+copy(sys.stdin.buffer, server.stdin)
+server.wait()
+"""
+"""A process that starts a server and holds its pipes, as a client does; it can be killed."""
 
 
 class WireClient:
@@ -60,14 +88,31 @@ class WireClient:
 
     def message(self, method: str, params: Mapping[str, Any], is_request: bool) -> dict[str, Any]:
         """A message with the metadata of the protocol; a request gets the next number."""
-        meta = {"progressToken": "t"} if method == "tools/call" else {}
+        meta: dict[str, Any] = {}
         if not self.has_session and is_request:
             meta |= {PROTOCOL_VERSION_META_KEY: self.version, CLIENT_CAPABILITIES_META_KEY: {}}
-        told = {"jsonrpc": "2.0", "method": method, "params": {**params, "_meta": meta}}
+        told: dict[str, Any] = {
+            "jsonrpc": "2.0",
+            "method": method,
+            "params": {**params, "_meta": meta},
+        }
         if is_request:
             self.number += 1
             told["id"] = self.number
+            meta["progressToken"] = f"t{self.number}"
         return told
+
+    def has_progress(self) -> bool:
+        """The server has reported progress of the last call."""
+        return f'"progressToken":"t{self.number}"' in self.said().replace(" ", "")
+
+    def has_answered(self) -> bool:
+        """The last call has an answer."""
+        return f'"id":{self.number},' in self.said().replace(" ", "").replace("}", ",")
+
+    def said(self) -> str:
+        """What the server has sent for the last call so far, or more."""
+        raise NotImplementedError
 
     def call(self, tool: str, arguments: Mapping[str, Any]) -> dict[str, Any]:
         """The result of a call that must succeed."""
@@ -108,6 +153,7 @@ class HttpClient(WireClient):
             self._post(self.message("notifications/initialized", {}, is_request=False))
         self._headers["MCP-Protocol-Version"] = version
         self._call: socket.socket | None = None
+        self._seen = b""
 
     def _post(self, message: dict[str, Any], **headers: str) -> httpx2.Response:
         # verify: to load the certificates takes most of the time of a request
@@ -130,6 +176,7 @@ class HttpClient(WireClient):
             **self._named(tool),
         }
         head = "".join(f"{name}: {value}\r\n" for name, value in headers.items())
+        self._seen = b""
         self._call = socket.create_connection((where.hostname, where.port), timeout=60)
         self._call.sendall(f"POST {where.path} HTTP/1.1\r\n{head}\r\n".encode() + body)
 
@@ -154,12 +201,12 @@ class HttpClient(WireClient):
         return next((one for one in told if "id" in one), None) or dict(answer.json())
 
     def said(self) -> str:
-        """The end of what the server has sent for the last call so far."""
+        """What the server has sent for the last call so far."""
         assert self._call is not None
         self._call.setblocking(False)
-        with suppress(BlockingIOError):
-            return self._call.recv(65536).decode()[-2000:]
-        return "nothing yet"
+        with suppress(OSError):  # nothing new, or the connection is closed
+            self._seen += self._call.recv(65536)
+        return self._seen.decode(errors="replace")
 
     def leave_call(self) -> None:
         """Close the connection of the last call."""
@@ -176,6 +223,7 @@ class StdioClient(WireClient):
         super().__init__(version)
         self._process = process
         self._lines: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
+        self._seen = ""
         self._reading = threading.Thread(target=self._read, daemon=True)
         self._reading.start()
         if self.has_session:
@@ -188,6 +236,7 @@ class StdioClient(WireClient):
         assert self._process.stdout is not None
         with self._process.stdout as lines:
             for line in lines:
+                self._seen += line.decode()
                 self._lines.put(json.loads(line))
 
     def _send(self, message: dict[str, Any]) -> None:
@@ -197,14 +246,17 @@ class StdioClient(WireClient):
 
     def begin(self, tool: str, arguments: Mapping[str, Any]) -> None:
         """Call a tool."""
+        self._seen = ""
         params = {"name": tool, "arguments": arguments}
         self._send(self.message("tools/call", params, is_request=True))
 
     def cancel(self, way: Way) -> int:
         """Cancel the last call; a notification has no answer."""
-        if way == "client killed":
+        if way == "stdin closed":
             assert self._process.stdin is not None
             self._process.stdin.close()
+        elif way == "client killed":
+            self._process.kill()
         else:
             self._send(self.cancelled(way))
         return 0
@@ -216,11 +268,8 @@ class StdioClient(WireClient):
         return line
 
     def said(self) -> str:
-        """The messages of the server that were not read."""
-        told = []
-        while not self._lines.empty():
-            told.append(str(self._lines.get())[:500])
-        return "; ".join(told) or "nothing yet"
+        """What the server has sent since the last call began."""
+        return self._seen
 
     def leave_call(self) -> None:
         """A call has no connection of its own."""
@@ -237,10 +286,14 @@ def served(
     command = [sys.executable, "-m", "roboneuron.cli.main", "serve", "--config"]
     command += [str(configuration), "--log-level", "warning", "--transport", transport]
     pipe = subprocess.PIPE if transport == "stdio" else subprocess.DEVNULL
-    log = configuration.with_suffix(".log")
+    log, number = configuration.with_suffix(".log"), configuration.with_suffix(".pid")
+    if transport == "http":
+        command += ["--port", str(port)]
+    else:
+        command = [sys.executable, "-c", _HOLDER, str(number), *command]
     with log.open("ab") as file:
         process = subprocess.Popen(
-            [*command, *(("--port", str(port)) if transport == "http" else ())],
+            command,
             env={**os.environ, **environment, "TEST_TOKEN": TOKEN},
             stdin=pipe,
             stdout=pipe,
@@ -253,15 +306,19 @@ def served(
                 with socket.socket() as probe:
                     return probe.connect_ex(("127.0.0.1", port)) == 0
 
-            wait_until(lambda: process.poll() is not None or is_open(), 60.0, "the server listens")
+            wait_until(lambda: process.poll() is not None or is_open(), 120.0, "the server listens")
         assert process.poll() is None, log.read_text()
         yield process, f"http://127.0.0.1:{port}/mcp"
     finally:
         if process.stdin is not None:
             with suppress(OSError):
                 process.stdin.close()
-        process.terminate()
+        if transport == "http":
+            process.terminate()
         process.wait(60)
+        if transport == "stdio":
+            pid = int(number.read_text())
+            wait_until(lambda: not psutil.pid_exists(pid), 60.0, "the server ends with its client")
 
 
 def answered(transport: str, version: str, way: Way) -> int:
@@ -280,15 +337,21 @@ def check_cell(
     moves: Callable[[], bool],
     rests: Callable[[], bool],
     rest_s: float,
-) -> None:
-    """Call, wait for the motion, cancel it in a way, wait for rest; print how long that took."""
-    transport, version = client.transport, client.version
+) -> str:
+    """Call, wait for the motion, cancel it in a way, wait for rest; return how long that took."""
+
+    def started() -> bool:
+        if client.has_answered() and '"rule":"ownership"' in client.said():
+            client.begin(*call)  # the call before is still ending
+        return moves()
+
     try:
         client.begin(*call)
-        assert holds_within(moves, 60.0), f"{call[0]} moves nothing: {client.said()}"
-        assert client.cancel(way) == answered(transport, version, way)
+        assert holds_within(started, 60.0), f"{call[0]} moves nothing: {client.said()[-2000:]}"
+        assert client.cancel(way) == answered(client.transport, client.version, way)
         if way == "wrong id":
-            assert not holds_within(lambda: not moves(), 0.3), "the call of another id was ended"
+            assert not holds_within(client.has_answered, 0.3), "the call of another id was ended"
+            assert holds_within(moves, 1.0), "the motion of another id was ended"
             client.cancel("notification")
         since_s = time.monotonic()
         wait_until(rests, rest_s, f"rest after {way}")
@@ -296,4 +359,4 @@ def check_cell(
         assert not holds_within(moves, 0.5), "it moves again"
     finally:
         client.leave_call()
-    print(f"{transport} {version} {way} {call[0]}: at rest after {took_s * 1e3:.0f} ms")
+    return f"{took_s * 1e3:.0f} ms"

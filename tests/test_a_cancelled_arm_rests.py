@@ -1,173 +1,82 @@
-"""The simulated FR3 is at rest soon after the call that moves it is cancelled: every call, way,
-transport, and the protocols in use.
+"""The simulated FR3 is at rest soon after the call that moves it is cancelled, and what was being
+started is not there: every call, way, transport and protocol.
 
-Judged by its measured joints. `play_recording` is in servers for replays only; a service that was
-called cannot be recalled; previews and recordings move nothing.
+Judged by its measured joints, by the truth of the simulation.
 """
 
 from __future__ import annotations
 
 import sys
-import threading
-import time
-from collections import deque
-from collections.abc import Iterator
-from contextlib import ExitStack
-from itertools import cycle
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import pytest
+from mcp_types.version import KNOWN_PROTOCOL_VERSIONS
 
 sys.path.insert(0, str(Path(__file__).parent))
-from cancel_wire import HTTP_WAYS, TOKENS, HttpClient, StdioClient, Way, check_cell, served
+from cancel_table import Table, printed
+from cancel_wire import (
+    HTTP_WAYS,
+    LAST_WAYS,
+    STDIO_WAYS,
+    HttpClient,
+    StdioClient,
+    Way,
+    check_cell,
+)
+from cancelled_arm import CALLS, INSTRUCTION, MOTIONS, STARTS, SWITCHES, Arm
 
-from rn_testing.domain import free_ros_domain
 from rn_testing.waiting import holds_within, wait_until
-from roboneuron.config import default_text
 from roboneuron.ros.environment import prepare_environment
 
 sys.path.pop(0)
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow, pytest.mark.timeout(300)]
+NEWEST = "2026-07-28"
+WHOLE = ("2025-11-25", NEWEST)
+"""Protocols with and without sessions, for which every call is tried."""
+FEW = ("move_joints", "move_ee", "run_task")
 REST_S = 3.0
 """Deceleration, the window in which rest is measured, and a busy machine."""
-WINDOW_S, STILL_RAD, MOVES_RAD = 0.3, 0.003, 0.01
-LEAST_SAMPLES = 5
-INSTRUCTION = "pick up the red cube"
-NEVER = {"kind": "tcp_in", "lower_m": [9, 9, 9], "upper_m": [10, 10, 10]}
-HELD = {"kind": "held", "for_s": 0.3, "of": {"kind": "gripper_holds"}}
-CONFIG = """
-[postures.left]
-joints = {{fr3_joint1 = 0.7}}
-[postures.right]
-joints = {{fr3_joint1 = -0.7}}
-[places.near]
-position_m = [0.40, 0.0, 0.45]
-[places.far]
-position_m = [0.55, 0.0, 0.45]
-[supervisor]
-state_directory = "{folder}/state"
-"""
+START_S = 60.0
+QUIET_S = 1.0
 
 
-def point(position: float) -> dict[str, Any]:
-    points = [{"positions": [position], "time_from_start": 6.0}]
-    return {"message": {"joint_names": ["fr3_joint1"], "points": points}}
+def why_not(transport: str, version: str, way: str, call: str) -> str:
+    """Why there is no such cell; empty if there is one."""
+    if way == "session deleted" and version == NEWEST:
+        return "this protocol has no sessions"
+    if way in ("id as text", "wrong id") and call not in ("move_joints", "run_task"):
+        return "ids are compared alike for all calls"
+    if transport == "stdio" and way in LAST_WAYS and call not in FEW:
+        return "everything is stopped, as for the others"
+    if version not in WHOLE and call not in FEW:
+        return "as under 2025-11-25: the protocols with sessions share the code"
+    if call == "play_recording" and (transport == "stdio" or way not in _PLAYED):
+        return "as move_joints; it needs a server of its own, which serves replays only"
+    return ""
 
 
-CALLS: dict[str, cycle[tuple[str, dict[str, Any]]]] = {
-    "move_joints": cycle(
-        ("move_joints", {"positions": {"fr3_joint1": one}, "duration_s": 6}) for one in (0.6, -0.6)
-    ),
-    "trajectory": cycle(("publish_joint_trajectory", point(one)) for one in (0.6, -0.6)),
-    "move_ee": cycle(("move_ee", {"dz_m": one, "duration_s": 5}) for one in (-0.1, 0.1)),
-    "posture": cycle(("move_to", {"name": one}) for one in ("left", "right")),
-    "straight": cycle(("move_to", {"name": one}) for one in ("far", "near")),
-    "place": cycle([("place", {"dx_m": 0.0, "dy_m": -0.12})]),
-    "run_task": cycle([("run_task", {"instruction": INSTRUCTION, "until": NEVER, "max_s": 60})]),
-    "start_inference": cycle([("start_inference", {"instruction": INSTRUCTION})]),
-}
-"""Two targets each, so that every call has a way to go."""
-WITH_POLICY = ("run_task", "start_inference")
-START_S = 30.0
+_PLAYED: tuple[Way, ...] = ("notification", "stream closed")
 
 
-class Arm:
-    """Measured joints of the arm, and the server that moves it."""
+def cells() -> Iterator[tuple[str, str, Way, str]]:
+    """Transport, protocol, way, call. Recordings are played last: they need another server."""
+    for plays in (False, True):
+        for transport, ways in (("http", HTTP_WAYS), ("stdio", STDIO_WAYS)):
+            for version in KNOWN_PROTOCOL_VERSIONS:
+                for way in ways:
+                    for call in CALLS:
+                        row = (transport, version, way, call)
+                        if (call == "play_recording") is plays and not why_not(*row):
+                            yield row
 
-    def __init__(self, folder: Path) -> None:
-        import rclpy
-        from rclpy.executors import SingleThreadedExecutor
-        from sensor_msgs.msg import JointState
 
-        domain = free_ros_domain()
-        self.folder = folder
-        self.environment = {"ROS_DOMAIN_ID": str(domain), "XDG_STATE_HOME": str(folder)}
-        self._seen: deque[tuple[float, list[float]]] = deque(maxlen=200)
-        self._context = rclpy.Context()
-        rclpy.init(context=self._context, domain_id=domain)
-        self._node = rclpy.create_node("judge", namespace="fr3", context=self._context)
-        self._node.create_subscription(JointState, "joint_states", self._take, 50)
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self._node)
-        self._thread = threading.Thread(target=self._executor.spin, daemon=True)
-        self._thread.start()
-        self._stack = ExitStack()
-        self._transport = ""
-        self.steward: Any = None
-        self.client: Any = None
-
-    def _take(self, message: Any) -> None:
-        self._seen.append((time.monotonic(), list(message.position)))
-
-    def _travel(self) -> float | None:
-        """Largest change of a joint within the newest window [rad or m]; None without
-        measurements that fill it.
-        """
-        now_s, seen = time.monotonic(), tuple(self._seen)
-        if not seen or now_s - seen[-1][0] > WINDOW_S / 2:
-            return None
-        inside = [one for one in seen if one[0] >= now_s - WINDOW_S]
-        if len(inside) < LEAST_SAMPLES or inside[-1][0] - inside[0][0] < WINDOW_S / 2:
-            return None
-        return max(max(one) - min(one) for one in zip(*(j for _, j in inside), strict=True))
-
-    def rests(self) -> bool:
-        travel = self._travel()
-        return travel is not None and travel < STILL_RAD
-
-    def moves(self) -> bool:
-        return (self._travel() or 0.0) > MOVES_RAD
-
-    def use(self, transport: str, version: str, way: Way) -> HttpClient | StdioClient:
-        """A client of the running server, or of a new one; the arm is started."""
-        wanted = transport if transport == "http" else f"{transport} {version}"
-        if self._transport != wanted:
-            self.end_server()
-            configuration = self.folder / "arm.toml"
-            configuration.write_text(default_text() + CONFIG.format(folder=self.folder) + TOKENS)
-            server = served(configuration, self.environment, transport=transport)
-            process, self._url = self._stack.enter_context(server)
-            if transport == "http":
-                self.steward = HttpClient(self._url, "2025-11-25")
-            else:
-                self.steward = self.client = StdioClient(process, version)
-            self._transport = wanted
-            for kind in ("robot", "perception", "control"):
-                self.steward.call(f"start_{kind}", {})
-        client = self.client if transport == "stdio" else HttpClient(self._url, version)
-        if way == "client killed" and transport == "stdio":
-            self._transport = ""  # the server ends with its client
-        return client
-
-    def phase(self, kind: str) -> str:
-        modules = self.steward.call("get_status", {})["modules"]
-        return str(next(one["phase"] for one in modules if one["module"] == kind))
-
-    def prepare(self, call: str) -> None:
-        """Make the call possible: nothing of the previous one is left."""
-        wait_until(self.rests, 20.0, "the arm rests before the next call")
-        is_running = self.phase("inference") != "stopped"
-        if is_running and call != "run_task":
-            self.steward.call("stop_inference", {})
-        if call == "place":
-            task = {"instruction": INSTRUCTION, "until": HELD, "on_end": "stop", "max_s": 60}
-            outcome = self.steward.call("run_task", task)["outcome"]
-            assert outcome == "succeeded", outcome
-        elif call == "straight":
-            self.steward.call("move_to", {"name": "home"})
-
-    def end_server(self) -> None:
-        self._stack.close()
-        self._transport = ""
-
-    def close(self) -> None:
-        self.end_server()
-        self._executor.shutdown(timeout_sec=2.0)
-        self._thread.join(timeout=2.0)
-        self._node.destroy_node()
-        self._context.try_shutdown()
+@pytest.fixture(scope="module")
+def table() -> Iterator[Table]:
+    with printed(Table(CALLS), why_not) as made:
+        yield made
 
 
 @pytest.fixture(scope="module")
@@ -179,56 +88,131 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Arm]:
     made.close()
 
 
-def cells() -> Iterator[tuple[str, str, Way, str]]:
-    """Transport, protocol, way, call. `place` picks up a cube first: for a few only."""
-    for version in ("2025-06-18", "2025-11-25", "2026-07-28"):
-        for way in HTTP_WAYS:
-            if way == "session deleted" and version == "2026-07-28":
-                continue  # it has no sessions
-            for call in CALLS:
-                if call != "place" or way in ("notification", "stream closed"):
-                    yield "http", version, way, call
-    for version in ("2025-11-25", "2026-07-28"):
-        for call in CALLS:
-            yield "stdio", version, "notification", call
-        for call in ("move_joints", "run_task"):
-            yield "stdio", version, "client killed", call
-
-
-def is_none(way: Way, version: str, call: str) -> bool:
-    """True if this way is no cancellation of this call in the protocol: a start goes on when its
-    client's stream is closed, and is ended by the lease if the client stays away.
-    """
-    closed = way in ("stream closed", "client killed")
-    return call == "start_inference" and closed and version != "2026-07-28"
-
-
 @pytest.mark.parametrize(
     ("transport", "version", "way", "call"),
     [pytest.param(*row, id="-".join(row).replace(" ", "_")) for row in cells()],
 )
 def test_an_arm_rests_after_its_call_is_cancelled(
-    arm: Arm, transport: str, version: str, way: Way, call: str
+    arm: Arm, table: Table, transport: str, version: str, way: Way, call: str
 ) -> None:
-    client = arm.use(transport, version, way)
-    arm.prepare(call)
-    if call == "start_inference":
-        check_start(arm, client, way)
-    else:
-        check_cell(client, way, next(CALLS[call]), arm.moves, arm.rests, REST_S)
+    with table.cell(transport, version, way, call) as tell:
+        client = arm.use(transport, version, way, call)
+        arm.prepare(call)
+        if call in MOTIONS:
+            tell(check_cell(client, way, next(MOTIONS[call]), arm.moves, arm.rests, REST_S))
+        elif call == "play_recording":
+            motion = ("play_recording", {"files": arm.files})
+            tell(check_cell(client, way, motion, arm.moves, arm.rests, REST_S))
+        else:
+            tell(_CHECKS.get(call, check_switch if call in SWITCHES else check_start)(
+                arm, client, way, call
+            ))  # fmt: skip
+            client.leave_call()
 
 
-def check_start(arm: Arm, client: HttpClient | StdioClient, way: Way) -> None:
-    """A start of a policy that is cancelled starts nothing, and nothing moves."""
-    is_seen = client.transport == "http"  # over stdio the answer of the start would be taken
-    client.begin(*next(CALLS["start_inference"]))
-    if is_seen:
-        wait_until(lambda: arm.phase("inference") == "starting", START_S, "the start begins")
+def continues(client: HttpClient | StdioClient, way: Way) -> bool:
+    """True if this way is no cancellation in the protocol, for a call that moves nothing itself:
+    it continues for a client that may come back for its answer.
+    """
+    return way in ("stream closed", "client killed") and client.version != NEWEST
+
+
+def check_start(arm: Arm, client: HttpClient | StdioClient, way: Way, call: str) -> str:
+    """A start that is cancelled starts nothing, and nothing moves."""
+    kind = "inference" if call == "start_all" else call.removeprefix("start_")
+    kinds = ("robot", "perception", "control", kind) if call == "start_all" else (kind,)
+    client.begin(call, STARTS[call])
+    wait_until(lambda: arm.phase(kinds[0]) != "stopped", START_S, "the start begins")
     client.cancel(way)
-    if way == "wrong id" or is_none(way, client.version, "start_inference"):
-        wait_until(lambda: arm.phase("inference") == "running", START_S, "the start goes on")
-    else:
-        wait_until(lambda: arm.phase("inference") == "stopped", START_S, "the start has ended")
-        assert not holds_within(arm.moves, 1.0), "a cancelled start moves the arm"
-    client.leave_call()
-    print(f"{client.transport} {client.version} {way} start_inference: {arm.phase('inference')}")
+    if continues(client, way):
+        wait_until(lambda: arm.phase(kind) == "running", START_S, "the start continues")
+        return "continues"
+    wait_until(
+        lambda: all(arm.phase(one) == "stopped" for one in kinds), START_S, "the start has ended"
+    )
+    assert not holds_within(arm.moves, QUIET_S), "a cancelled start moves the arm"
+    return "not started"
+
+
+def check_switch(arm: Arm, client: HttpClient | StdioClient, way: Way, call: str) -> str:
+    """A switch that is cancelled replaces nothing, and nothing moves."""
+    kind = call.removeprefix("switch_")
+    before = arm.module(kind)["started_at"]
+    client.begin(call, {})
+    wait_until(client.has_progress, START_S, "the switch begins")
+    client.cancel(way)
+    if continues(client, way):
+        wait_until(lambda: arm.module(kind)["started_at"] != before, START_S, "it is replaced")
+        return "continues"
+    assert not holds_within(lambda: arm.module(kind)["started_at"] != before, 3 * QUIET_S)
+    assert arm.phase(kind) == "running"
+    assert not arm.moves()
+    return "old one stays"
+
+
+def check_instruction(arm: Arm, client: HttpClient | StdioClient, way: Way, call: str) -> str:
+    """An instruction whose call is cancelled is withdrawn. Without images it waits."""
+    arm.steward.call("stop_perception", {})
+    client.begin(call, {"instruction": INSTRUCTION})
+    wait_until(
+        lambda: INSTRUCTION in str(arm.module("inference")["instruction"]), START_S, "it is given"
+    )
+    client.cancel(way)
+    if not continues(client, way):
+        wait_until(lambda: not arm.module("inference")["instruction"], START_S, "it is withdrawn")
+    arm.steward.call("start_perception", {})
+    moved = holds_within(arm.moves, 5.0 if continues(client, way) else 2 * QUIET_S)
+    assert moved is continues(client, way)
+    arm.steward.call("stop_inference", {})
+    return "continues" if moved else "withdrawn"
+
+
+def check_lead(arm: Arm, client: HttpClient | StdioClient, way: Way, call: str) -> str:
+    """A lead ends if its call is cancelled before it is answered; the person pushes on."""
+    arm.push(True)
+    try:
+        client.begin(call, {"source": "twist-topic"})
+        client.cancel(way)
+        if client.has_answered() or continues(client, way):
+            assert holds_within(arm.moves, 5.0), "an answered lead moves nothing"
+            arm.steward.call("hand_back", {})
+            return "answered" if client.has_answered() else "continues"
+        assert not holds_within(lambda: not arm.rests(), 0.0) or holds_within(arm.rests, REST_S)
+        assert not holds_within(arm.moves, QUIET_S), "a cancelled lead moves the arm"
+        return "nobody leads"
+    finally:
+        arm.push(False)
+
+
+def check_preview(arm: Arm, client: HttpClient | StdioClient, way: Way, call: str) -> str:
+    """A cancelled preview moves nothing, as does a preview; the next one is answered."""
+    motion = {"positions": {"fr3_joint1": 0.2}, "duration_s": 6, "preview": True}
+    client.begin("move_joints", motion)
+    client.cancel(way)
+    assert not holds_within(arm.moves, QUIET_S), "a preview moves the arm"
+    assert arm.steward.call("move_joints", motion)["preview"]
+    return "moves nothing"
+
+
+def check_recording(arm: Arm, client: HttpClient | StdioClient, way: Way, call: str) -> str:
+    """A recording whose start is cancelled is not made; one that was answered goes on."""
+    client.begin(call, {"duration_s": 60})
+    client.cancel(way)
+    has_answered = client.has_answered()
+    is_made = holds_within(
+        lambda: bool(arm.steward.call("list_recordings", {})["recording"]), QUIET_S
+    )
+    if is_made:
+        arm.steward.call("stop_recording", {})
+    assert is_made is (has_answered or continues(client, way))
+    assert not arm.moves()
+    return "continues" if is_made else "not made"
+
+
+_CHECKS: dict[str, Callable[[Arm, Any, Way, str], str]] = {
+    "set_instruction": check_instruction,
+    "lead_arm": check_lead,
+    "preview": check_preview,
+    "start_recording": check_recording,
+}
+assert set(HTTP_WAYS) | set(STDIO_WAYS) == set(get_args(Way))

@@ -19,8 +19,10 @@ import pytest
 from mcp_types.version import KNOWN_PROTOCOL_VERSIONS
 
 sys.path.insert(0, str(Path(__file__).parent))
+from cancel_table import Table, printed
 from cancel_wire import (
     HTTP_WAYS,
+    LAST_WAYS,
     STDIO_WAYS,
     TOKENS,
     HttpClient,
@@ -143,7 +145,7 @@ class Base:
         if version not in self.kept:
             server = served(self.configuration(version), self.environment, transport="stdio")
             self.kept[version] = StdioClient(self.stack.enter_context(server)[0], version)
-        if way == "client killed":  # ends the server too
+        if way in LAST_WAYS:  # the server ends too
             return self.kept.pop(version)
         return self.kept[version]
 
@@ -165,6 +167,13 @@ def base(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Base]:
         yield Base(folder, environment, wheels, counting, stack)
 
 
+def why_not(transport: str, version: str, way: str, call: str) -> str:
+    """Why there is no such cell; empty if there is one."""
+    if way == "session deleted" and version == NEWEST:
+        return "this protocol has no sessions"
+    return ""
+
+
 def cells() -> Iterator[Any]:
     """Transport, protocol, way, call: the newest two protocols in the default lane, for one call
     or way each.
@@ -174,8 +183,8 @@ def cells() -> Iterator[Any]:
         for version in KNOWN_PROTOCOL_VERSIONS:
             for way in ways:
                 for call in CALLS:
-                    if way == "session deleted" and version == NEWEST:
-                        continue  # it has no sessions
+                    if why_not(transport, version, way, call):
+                        continue
                     is_quick = (transport, version) in quick and (
                         call == "publish" or way == "notification"
                     )
@@ -184,11 +193,19 @@ def cells() -> Iterator[Any]:
                     yield pytest.param(*row, id="-".join(row).replace(" ", "_"), marks=marks)
 
 
+@pytest.fixture(scope="module")
+def table() -> Iterator[Table]:
+    with printed(Table(CALLS), why_not) as made:
+        yield made
+
+
 @pytest.mark.parametrize(("transport", "version", "way", "call"), list(cells()))
 def test_a_base_rests_after_its_call_is_cancelled(
-    base: Base, transport: str, version: str, way: Way, call: str
+    base: Base, table: Table, transport: str, version: str, way: Way, call: str
 ) -> None:
-    client = base.client(transport, version, way)
-    check_cell(
-        client, way, CALLS[call], lambda: base.moves(call), lambda: not base.moves(call), REST_S
-    )
+    def moves() -> bool:
+        return base.moves(call)
+
+    with table.cell(transport, version, way, call) as tell:
+        client = base.client(transport, version, way)
+        tell(check_cell(client, way, CALLS[call], moves, lambda: not moves(), REST_S))

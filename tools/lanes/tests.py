@@ -222,6 +222,13 @@ def test_conformance(session: nox.Session) -> None:
 
 
 @lane
+def test_cancel(session: nox.Session) -> None:
+    """the table of cancelled calls: way, transport, protocol, call; base and arm (half an hour)"""
+    files = ("tests/test_cancelled_means_stopped.py", "tests/test_a_cancelled_arm_rests.py")
+    pytest(session, "-q", "-s", "-m", "slow or not slow", *files)
+
+
+@lane
 def test_frameworks(session: nox.Session) -> None:
     """the MCP clients of public frameworks against our server, each in its own environment"""
     names = session.posargs or list(CLIENTS)
