@@ -21,9 +21,14 @@ PROGRAMS = ("lerobot_robot_roboneuron", "lerobot_teleoperator_roboneuron")
 """Packages that run in a program started by a person, like commands: they join the graph
 themselves, and their messages pass control's limits and stops.
 """
-COMMANDS_APART = {"doctor": "ops", "limits": "tools_arm", "stepped": "control"}
+COMMANDS_APART = {
+    "doctor": "ops",
+    "limits": "tools_arm",
+    "sight": "tools_arm",
+    "stepped": "control",
+}
 """Packages of rn_standard without a plugin module, by the plugin that uses them or brings their
-command.
+command or offers.
 """
 NEEDS = {
     "console": {"selection"},
@@ -42,12 +47,13 @@ NEEDS = {
         "direct_path",
         "inference",
         "selection",
+        "sight",
         "stepped",
         "teleoperation",
         "tools_loop",
     },
     "teleoperation": {"control", "direct_path"},
-    "tools_arm": {"control", "direct_path", "stepped"},
+    "tools_arm": {"control", "direct_path", "sight", "stepped"},
     "tools_loop": {"inference"},
     "tools_ros": {"direct_path"},
 }
@@ -63,6 +69,7 @@ PUBLISHED = {
     "inference": "agreement execution instruction_text module planning",
     "ops": "maintenance",
     "selection": "choosing options requests restricted",
+    "sight": "contract_cases cube hooks options plugin locator pose_history rays segmentation view",
     "stdio": "envelope",
     "stepped": "clock watch",
     "tasks": "contract_cases guarded history hooks judging monitor moving pictures run_task runner "

@@ -13,7 +13,6 @@ pytest.importorskip("rn_robot_fr3.simulation", exc_type=ImportError)
 pytest.importorskip("rn_controller_urdf.controller", exc_type=ImportError)
 
 from rn_backend_servo.case import pair_case
-from rn_backend_servo.geometry import matrix_of
 from rn_backend_servo.options import HandOverOptions
 from rn_backend_servo.pair_backend import HandOverBackend, hand_over_space
 from rn_backend_servo.sight import look
@@ -24,6 +23,7 @@ from rn_robot_fr3.profile import profile as single_profile
 from rn_robot_fr3.simulation import STEP_S, ArmSimulation
 from rn_simulation.engine import ENGINES
 from rn_standard.inference.agreement import agree
+from rn_standard.sight.view import matrix_of
 from rn_testing import BackendCase, BackendContract, effects
 from rn_testing.rule import RuleVerdict
 from rn_testing.rules import RULES

@@ -6,14 +6,14 @@ import numpy as np
 
 from rn_backend_servo.chunk import chunk_rows, kept_rows, pose_after, rows_done
 from rn_backend_servo.episode import EpisodeBackend
-from rn_backend_servo.geometry import matrix_of
-from rn_backend_servo.history import PoseHistory
 from rn_backend_servo.instruction import parse_instruction
 from rn_backend_servo.options import ServoOptions
 from rn_backend_servo.phases import Phase
 from rn_backend_servo.policy import PickPolicy
 from rn_backend_servo.sight import look, not_visible
 from rn_backend_servo.watch import FrameWatch
+from rn_standard.sight.pose_history import PoseHistory
+from rn_standard.sight.view import matrix_of
 from roboneuron import (
     ActionChunk,
     AnyAcceleration,

@@ -10,14 +10,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rn_backend_servo.cube import cube_corners
-from rn_backend_servo.geometry import CameraView
 from rn_backend_servo.plugin import roboneuron_backends
+from rn_standard.sight.contract_cases import SIDE_PX, overhead_camera, paint_cubes
 from rn_testing.cases import BackendCase
 from roboneuron import (
     ArmProfile,
     ArmState,
-    CameraCalibration,
     Frame,
     GripperProfile,
     JointSample,
@@ -26,52 +24,14 @@ from roboneuron import (
     RobotProfile,
 )
 
-F64 = NDArray[np.float64]
-
-SIDE_PX = 224
-TABLE_RGB, PAINT_RGB = (
-    (200, 190, 175),
-    {"red": (200, 25, 25), "green": (30, 150, 60), "blue": (25, 60, 210)},
-)
 POINTING_DOWN_XYZW = np.array([1.0, 0.0, 0.0, 0.0])
-
-
-def overhead_camera() -> CameraCalibration:
-    """A camera 0.8 m above (0.5, 0, 0) in the base frame, looking straight down; up in the image is
-    base +x.
-    """
-    pose = np.array(
-        [[0.0, -1.0, 0.0, 0.5], [-1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.8], [0.0, 0.0, 0.0, 1.0]]
-    )
-    intrinsics = np.array([[220.0, 0.0, SIDE_PX / 2], [0.0, 220.0, SIDE_PX / 2], [0.0, 0.0, 1.0]])
-    return CameraCalibration(intrinsics=intrinsics, mount="base", T_mount_camera=pose)
 
 
 def paint_table(
     cubes: dict[str, tuple[float, float, float]], edge_m: float = 0.044
 ) -> NDArray[np.uint8]:
-    """An image (SIDE_PX, SIDE_PX, 3) of cubes, colour -> x_m, y_m, yaw_rad: filled outlines with
-    slight noise.
-    """
-    noise = np.random.default_rng(0).integers(-4, 5, (SIDE_PX, SIDE_PX, 3))
-    image = np.asarray(TABLE_RGB) + noise
-    view = CameraView.of(overhead_camera(), np.eye(4))
-    rows, columns = np.mgrid[:SIDE_PX, :SIDE_PX] + 0.5
-    for colour, (x_m, y_m, yaw_rad) in cubes.items():
-        corners = view.project(cube_corners(np.array([x_m, y_m, yaw_rad, edge_m]), 0.0))
-        image[_inside_hull(corners, columns, rows)] = PAINT_RGB[colour]
-    return image.clip(0, 255).astype(np.uint8)
-
-
-def _inside_hull(points: F64, columns: F64, rows: F64) -> NDArray[np.bool_]:
-    """Pixels inside the convex hull of `points` (n, 2): in every direction, not beyond the
-    outermost point.
-    """
-    inside = np.ones(columns.shape, dtype=bool)
-    for angle in np.linspace(0.0, 2 * np.pi, 180, endpoint=False):
-        normal = np.array([np.cos(angle), np.sin(angle)])
-        inside &= columns * normal[0] + rows * normal[1] <= (points @ normal).max()
-    return inside
+    """An image (SIDE_PX, SIDE_PX, 3) of cubes seen from above, colour -> x_m, y_m, yaw_rad."""
+    return paint_cubes(overhead_camera(), cubes, edge_m)
 
 
 def observe(

@@ -8,11 +8,12 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
-from rn_backend_servo.geometry import matrix_of, rotation_between
+from rn_backend_servo.geometry import rotation_between
 from rn_backend_servo.options import HandOverOptions
 from rn_backend_servo.phases import OPEN, Phase
 from rn_backend_servo.policy import PickPolicy
 from rn_backend_servo.sight import Sighting
+from rn_standard.sight.view import matrix_of
 from roboneuron import Action, ArmState, Pose, UngroundedError, apply_delta
 
 F64 = NDArray[np.float64]

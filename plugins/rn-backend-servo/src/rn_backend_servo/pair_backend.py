@@ -11,12 +11,12 @@ import numpy as np
 from rn_backend_servo.episode import EpisodeBackend
 from rn_backend_servo.geometry import F64
 from rn_backend_servo.hand_over import ArmGoal, HandOverPolicy, Stage
-from rn_backend_servo.history import PoseHistory
 from rn_backend_servo.instruction import parse_hand_over
 from rn_backend_servo.options import HandOverOptions
 from rn_backend_servo.phases import Phase
 from rn_backend_servo.sight import look, not_visible
 from rn_backend_servo.watch import FrameWatch
+from rn_standard.sight.pose_history import PoseHistory
 from roboneuron import (
     GRIPPER,
     ActionChunk,

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rn_backend_servo.cube import CubeEstimate, measure_cube
-from rn_backend_servo.geometry import CameraView
 from rn_backend_servo.options import ServoOptions
-from rn_backend_servo.segmentation import find_blob, visible_colours
+from rn_standard.sight.cube import CubeEstimate, measure_cube
+from rn_standard.sight.segmentation import find_blob, visible_colours
+from rn_standard.sight.view import CameraView
 from roboneuron import Frame, UngroundedError
 
 F64 = NDArray[np.float64]

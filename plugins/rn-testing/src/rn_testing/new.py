@@ -13,7 +13,12 @@ from string import Template
 from roboneuron import ConfigurationError
 from roboneuron.command import PLUGIN_KINDS, descriptor
 
-BROUGHT = {"monitor": "rn-standard", "suite": "rn-eval", "teleoperator": "rn-standard"}
+BROUGHT = {
+    "locator": "rn-standard",
+    "monitor": "rn-standard",
+    "suite": "rn-eval",
+    "teleoperator": "rn-standard",
+}
 """Kinds whose hook is provided by another package, with that package."""
 NEW_KINDS = sorted([*PLUGIN_KINDS, *BROUGHT])
 """Kinds with templates."""

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
+from rn_standard.sight.rays import crossing, rays_of
 from rn_standard.tasks.monitor import Score
-from rn_standard.tasks.vision import crossing, rays_of
 from roboneuron import Observation
 
 F64 = NDArray[np.float64]

@@ -7,7 +7,7 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
-from rn_backend_servo.geometry import matrix_of
+from rn_standard.sight.view import matrix_of
 from roboneuron import Pose
 
 F64 = NDArray[np.float64]

@@ -1,4 +1,4 @@
-"""Detection of a coloured object in calibrated images: one or two views, numpy only."""
+"""Lines of sight to a coloured object, and where those of two views meet."""
 
 from __future__ import annotations
 
@@ -7,22 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from roboneuron import CameraCalibration, Observation, Pose, matrix_from_quaternion
+from rn_standard.sight.segmentation import LEAST_AREA_PX, colour_mask
+from rn_standard.sight.view import CameraView, matrix_of
+from roboneuron import CameraCalibration, Observation, Pose
 
 F64 = NDArray[np.float64]
 
-HUES_DEG = {
-    "red": (-14.0, 13.0),
-    "orange": (16.0, 37.0),
-    "yellow": (41.0, 68.0),
-    "green": (85.0, 165.0),
-    "blue": (200.0, 250.0),
-    "purple": (262.0, 315.0),
-}
-"""Lowest and highest hue of each colour [deg]; hues in the gaps have no colour."""
-_SATURATION, _VALUE = 0.45, 0.15
-"""Minimum saturation and value: grey, pale and dark pixels have no colour."""
-_LEAST_PX = 16
 _CELL_PX = 16
 _WIDTH_PX = 224
 _PARALLEL = 0.05
@@ -56,15 +46,15 @@ def centre_of(image: NDArray[np.uint8], colour: str) -> tuple[F64, bool] | None:
 
     Args:
         image: the original image; large ones are subsampled.
-        colour: a key of `HUES_DEG`.
+        colour: a key of `segmentation.HUES_DEG`.
 
     Returns:
         The centre of the visible part, and True if the edge of the image cuts it.
     """
     step = max(1, image.shape[1] // _WIDTH_PX)
     image = image[::step, ::step]
-    rows, columns = np.nonzero(_mask(image, colour))
-    if len(rows) < _LEAST_PX:
+    rows, columns = np.nonzero(colour_mask(image, colour))
+    if len(rows) < LEAST_AREA_PX:
         return None
     points = np.column_stack([columns, rows]) + 0.5
     cells, counts = np.unique(points // _CELL_PX, axis=0, return_counts=True)
@@ -72,30 +62,13 @@ def centre_of(image: NDArray[np.uint8], colour: str) -> tuple[F64, bool] | None:
     radius = 1.5 * _CELL_PX
     for _ in range(8):  # mean shift, growing to the size of the cluster
         near = points[np.hypot(*(points - centre).T) <= radius]
-        if len(near) < _LEAST_PX:
+        if len(near) < LEAST_AREA_PX:
             return None
         centre, radius = near.mean(axis=0), max(radius, 1.8 * float(np.sqrt(len(near) / np.pi)))
     height, width = image.shape[:2]
     low, high = near.min(axis=0), near.max(axis=0)
     is_cut = bool(low.min() < 1 or high[0] > width - 1 or high[1] > height - 1)
     return centre * step, is_cut
-
-
-def _mask(image: NDArray[np.uint8], colour: str) -> NDArray[np.bool_]:
-    high, low = image.max(axis=2).astype(np.float64), image.min(axis=2).astype(np.float64)
-    spread = high - low
-    vivid = (spread >= _SATURATION * high) & (high >= _VALUE * 255) & (spread > 0)
-    mask = np.zeros(vivid.shape, dtype=np.bool_)
-    red, green, blue = image[vivid].astype(np.float64).T
-    top, width = high[vivid], spread[vivid]
-    sector = np.select(
-        [top == red, top == green],
-        [(green - blue) / width, 2.0 + (blue - red) / width],
-        4.0 + (red - green) / width,
-    )
-    first, last = HUES_DEG[colour]
-    mask[vivid] = (60.0 * sector - first) % 360.0 <= last - first
-    return mask
 
 
 def rays_of(observation: Observation, colour: str) -> dict[str, Ray]:
@@ -112,19 +85,19 @@ def rays_of(observation: Observation, colour: str) -> dict[str, Ray]:
         if seen is None:
             continue
         centre, is_cut = seen
-        pose = calibration.T_mount_camera
-        if tcp is not None:
-            mount = np.eye(4)
-            mount[:3, :3], mount[:3, 3] = (
-                matrix_from_quaternion(tcp.quaternion_xyzw),
-                tcp.position_m,
-            )
-            pose = mount @ pose
-        direction = pose[:3, :3] @ np.linalg.solve(calibration.intrinsics, np.append(centre, 1.0))
-        rays[role] = Ray(
-            origin=pose[:3, 3], direction=direction / np.linalg.norm(direction), is_coarse=is_cut
-        )
+        view = CameraView.of(calibration, np.eye(4) if tcp is None else matrix_of(tcp))
+        rays[role] = ray_through(view, centre, is_coarse=is_cut)
     return rays
+
+
+def ray_through(view: CameraView, pixel: F64, *, is_coarse: bool = False) -> Ray:
+    """Line of sight of a camera through a pixel (2,)."""
+    direction = view.T_base_camera[:3, :3] @ np.linalg.solve(view.intrinsics, np.append(pixel, 1.0))
+    return Ray(
+        origin=view.T_base_camera[:3, 3],
+        direction=direction / np.linalg.norm(direction),
+        is_coarse=is_coarse,
+    )
 
 
 def _carrier(observation: Observation, calibration: CameraCalibration) -> Pose | None:

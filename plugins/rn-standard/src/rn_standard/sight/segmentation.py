@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,13 +55,12 @@ class Blob:
         return centre
 
 
-def colour_mask(image: NDArray[np.uint8], colour: str) -> Mask:
-    """Pixels of `image` (H, W, 3) RGB whose hue is that of `colour`, a key of HUES_DEG."""
+def _vivid_hues(image: NDArray[np.uint8]) -> tuple[Mask, F64]:
+    """Pixels of `image` that have a colour, and their hues [deg], row by row."""
     channels = [image[:, :, i] for i in range(3)]
     high = np.maximum(np.maximum(channels[0], channels[1]), channels[2])
     spread = high - np.minimum(np.minimum(channels[0], channels[1]), channels[2])
     vivid = (spread >= LEAST_SATURATION * high) & (high >= LEAST_VALUE * 255) & (spread > 0)
-    mask = np.zeros(vivid.shape, dtype=np.bool_)
     red, green, blue = image[vivid].astype(np.float64).T
     top, width = high[vivid].astype(np.float64), spread[vivid].astype(np.float64)
     sector = np.select(
@@ -68,10 +68,25 @@ def colour_mask(image: NDArray[np.uint8], colour: str) -> Mask:
         [(green - blue) / width, 2.0 + (blue - red) / width],
         4.0 + (red - green) / width,
     )
-    hue = 60.0 * sector % 360.0
-    low, up = HUES_DEG[colour]
-    mask[vivid] = (hue - low) % 360.0 <= up - low
-    return mask
+    hues: F64 = 60.0 * sector % 360.0
+    return vivid, hues
+
+
+def colour_masks(
+    image: NDArray[np.uint8], colours: Iterable[str] = HUES_DEG
+) -> Iterator[tuple[str, Mask]]:
+    """Pixels of `image` (H, W, 3) RGB whose hue is that of each colour, keys of HUES_DEG."""
+    vivid, hues = _vivid_hues(image)
+    for colour in colours:
+        low, up = HUES_DEG[colour]
+        mask = np.zeros(vivid.shape, dtype=np.bool_)
+        mask[vivid] = (hues - low) % 360.0 <= up - low
+        yield colour, mask
+
+
+def colour_mask(image: NDArray[np.uint8], colour: str) -> Mask:
+    """The mask of one colour, see `colour_masks`."""
+    return next(mask for _, mask in colour_masks(image, (colour,)))
 
 
 def _runs(mask: Mask) -> list[tuple[int, int, int]]:
@@ -112,23 +127,29 @@ def regions(mask: Mask) -> list[list[tuple[int, int, int]]]:
     return list(grouped.values())
 
 
-def find_blob(image: NDArray[np.uint8], colour: str) -> Blob | None:
-    """The largest compact region of `colour` in `image` (H, W, 3) RGB, or None."""
-    mask = colour_mask(image, colour)
-    height, width = mask.shape
-    best: list[tuple[int, int, int]] | None = None
-    best_area = LEAST_AREA_PX - 1
+def blobs_of(mask: Mask) -> list[Blob]:
+    """The compact regions of a mask (H, W), the largest first."""
+    found: list[tuple[int, list[tuple[int, int, int]]]] = []
     for region in regions(mask):
         area = sum(end - start for _, start, end in region)
         box = (region[-1][0] - region[0][0] + 1) * (
             max(r[2] for r in region) - min(r[1] for r in region)
         )
-        if area > best_area and area >= LEAST_FILL * box:
-            best, best_area = region, area
-    if best is None:
-        return None
-    columns = np.concatenate([np.arange(start, end) for _, start, end in best])
-    rows = np.repeat([row for row, _, _ in best], [end - start for _, start, end in best])
+        if area >= LEAST_AREA_PX and area >= LEAST_FILL * box:
+            found.append((area, region))
+    found.sort(key=lambda sized: -sized[0])  # stable: of equal ones the first stays first
+    return [_blob(region, mask.shape) for _, region in found]
+
+
+def find_blob(image: NDArray[np.uint8], colour: str) -> Blob | None:
+    """The largest compact region of `colour` in `image` (H, W, 3) RGB, or None."""
+    return next(iter(blobs_of(colour_mask(image, colour))), None)
+
+
+def _blob(region: list[tuple[int, int, int]], shape: tuple[int, ...]) -> Blob:
+    height, width = shape
+    columns = np.concatenate([np.arange(start, end) for _, start, end in region])
+    rows = np.repeat([row for row, _, _ in region], [end - start for _, start, end in region])
     is_cut = bool(
         rows.min() == 0
         or columns.min() == 0
@@ -140,4 +161,4 @@ def find_blob(image: NDArray[np.uint8], colour: str) -> Blob | None:
 
 def visible_colours(image: NDArray[np.uint8]) -> list[str]:
     """Names of the colours with a compact region in `image`."""
-    return [colour for colour in HUES_DEG if find_blob(image, colour) is not None]
+    return [colour for colour, mask in colour_masks(image) if blobs_of(mask)]

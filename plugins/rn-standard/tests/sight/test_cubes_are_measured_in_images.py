@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rn_backend_servo.case import overhead_camera, paint_table
-from rn_backend_servo.cube import measure_cube
-from rn_backend_servo.geometry import CameraView
-from rn_backend_servo.segmentation import find_blob, visible_colours
+from rn_standard.sight.contract_cases import overhead_camera, paint_cubes
+from rn_standard.sight.cube import measure_cube
+from rn_standard.sight.segmentation import find_blob, visible_colours
+from rn_standard.sight.view import CameraView
 
 VIEW = CameraView.of(overhead_camera(), np.eye(4))
 
@@ -25,7 +25,7 @@ VIEW = CameraView.of(overhead_camera(), np.eye(4))
 def test_a_cube_is_found_where_it_was_painted(
     x_m: float, y_m: float, yaw_rad: float, edge_m: float
 ) -> None:
-    blob = find_blob(paint_table({"red": (x_m, y_m, yaw_rad)}, edge_m), "red")
+    blob = find_blob(paint_cubes(overhead_camera(), {"red": (x_m, y_m, yaw_rad)}, edge_m), "red")
     assert blob is not None
     found = measure_cube(blob, VIEW, table_m=0.0, edge_m=0.044, edge_spread_m=0.004)
     assert found is not None
@@ -36,18 +36,19 @@ def test_a_cube_is_found_where_it_was_painted(
 
 
 def test_colours_are_told_apart() -> None:
-    image = paint_table(
-        {"red": (0.4, 0.1, 0.0), "green": (0.6, 0.1, 0.3), "blue": (0.5, -0.1, 0.5)}
+    image = paint_cubes(
+        overhead_camera(),
+        {"red": (0.4, 0.1, 0.0), "green": (0.6, 0.1, 0.3), "blue": (0.5, -0.1, 0.5)},
     )
     assert sorted(visible_colours(image)) == ["blue", "green", "red"]
     assert find_blob(image, "yellow") is None
 
 
 def test_a_compact_region_wins_over_a_larger_one_that_is_thin() -> None:
-    image = paint_table({"red": (0.5, 0.0, 0.0)})
+    image = paint_cubes(overhead_camera(), {"red": (0.5, 0.0, 0.0)})
     for index in range(200):
         image[index, index : index + 4] = (200, 25, 25)  # a red cable has more pixels than the cube
-    image[90:140, 90:140] = paint_table({"red": (0.5, 0.0, 0.0)})[90:140, 90:140]
+    image[90:140, 90:140] = paint_cubes(overhead_camera(), {"red": (0.5, 0.0, 0.0)})[90:140, 90:140]
     blob = find_blob(image, "red")
     assert blob is not None
     assert np.allclose(blob.centre, VIEW.project(np.array([0.5, 0.0, 0.03])), atol=3)
@@ -55,7 +56,7 @@ def test_a_compact_region_wins_over_a_larger_one_that_is_thin() -> None:
 
 @pytest.mark.parametrize("colour", ["red", "blue"])
 def test_a_cube_cut_by_the_edge_is_not_clear(colour: str) -> None:
-    blob = find_blob(paint_table({colour: (0.5, 0.4, 0.0)}), colour)
+    blob = find_blob(paint_cubes(overhead_camera(), {colour: (0.5, 0.4, 0.0)}), colour)
     assert blob is not None
     assert blob.is_cut
     found = measure_cube(blob, VIEW, table_m=0.0, edge_m=0.044, edge_spread_m=0.004)

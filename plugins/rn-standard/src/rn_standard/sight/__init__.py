@@ -1,0 +1,1 @@
+"""Objects in calibrated pictures: locators, what they share, and the tools that show them."""
