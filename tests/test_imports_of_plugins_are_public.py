@@ -50,6 +50,7 @@ NEEDS = {
         "sight",
         "stepped",
         "teleoperation",
+        "tools_arm",
         "tools_loop",
     },
     "teleoperation": {"control", "direct_path"},
