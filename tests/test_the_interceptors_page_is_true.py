@@ -19,7 +19,8 @@ from roboneuron.server.interception import CallPhase
 from roboneuron.server.loop import ClosedLoop
 from roboneuron.server.registry import ToolRegistry
 
-PAGE = (Path(__file__).parents[1] / "docs" / "interceptors.md").read_text(encoding="utf-8")
+ROOT = Path(__file__).parents[1]
+PAGE = (ROOT / "docs" / "interceptors.md").read_text(encoding="utf-8")
 ROW = re.compile(r"^\| ([A-Z]+) \| `([^`]+)` \| (\S+) \|", re.MULTILINE)
 
 
@@ -38,6 +39,17 @@ def test_the_page_lists_the_chain_of_a_server_with_all_features(tmp_path: Path) 
 
 def test_every_phase_is_on_the_page() -> None:
     assert {phase for phase, *_ in ROW.findall(PAGE)} == {phase.name for phase in CallPhase}
+
+
+def test_no_feature_stands_between_a_client_and_a_tool_by_other_means() -> None:
+    """Middleware of the MCP server is for its protocol: MCP Tasks and the end of HTTP requests."""
+    found = {
+        path.relative_to(ROOT).as_posix()
+        for path in ROOT.glob("plugins/*/src/**/*.py")
+        if re.search(r"\bserver\.middleware\b", path.read_text(encoding="utf-8"))
+    }
+    standard = "plugins/rn-standard/src/rn_standard"
+    assert found == {f"{standard}/http/server.py", f"{standard}/tasks/feature.py"}
 
 
 @pytest.mark.parametrize(
