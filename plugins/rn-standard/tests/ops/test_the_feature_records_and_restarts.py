@@ -237,6 +237,10 @@ def test_faults_are_recorded_and_perception_is_restarted(
                 await do(f"start_{kind}")
             await do("start_inference", instruction="move on")
             await until("inference", "ok")
+            # incidents tell the last actions, and the stop of control's freeze ends them
+            with anyio.fail_after(60):
+                while (await module("inference"))["published"] < 10:
+                    await anyio.sleep(0.05)
 
             control = (await module("control"))["pid"]
             os.kill(control, signal.SIGSTOP)
