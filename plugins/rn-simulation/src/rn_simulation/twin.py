@@ -41,16 +41,23 @@ class CellTwin:
         """Build the world with the measured joint positions, at rest.
 
         Args:
-            joints: every joint of the cell, by name.
+            joints: every joint of the cell, by name. Those of a gripper may be missing, as behind
+                a driver that drives none: they are where the cell starts.
             scene: newest message of `scene_topic`; without one there are no objects.
 
         Raises:
             InvalidInputError: a joint is missing, or the message is no scene of this cell.
         """
-        missing = [name for name in self._cell.joints if name not in joints.names]
+        cell = self._cell
+        measured = {
+            name: float(cell.start[number])
+            for name, number in zip(cell.joints, cell.followed, strict=True)
+            if number in cell.grippers
+        }
+        measured |= dict(zip(joints.names, joints.position.tolist(), strict=True))
+        missing = [name for name in cell.joints if name not in measured]
         if missing:
             raise InvalidInputError(f"Joint {missing[0]!r} is not measured.")
-        measured = dict(zip(joints.names, joints.position.tolist(), strict=True))
         poses: dict[str, RawPose] = {}
         cubes: list[Cube] = []
         if isinstance(scene, Float64MultiArray):
