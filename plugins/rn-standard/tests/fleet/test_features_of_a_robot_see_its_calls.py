@@ -11,7 +11,15 @@ import pytest
 from mcp import types
 
 from rn_standard.fleet.fleet import Fleet
-from roboneuron.feature import Answer, CallPhase, EndedCall, IncomingCall, Interceptor, Proceed
+from roboneuron.feature import (
+    Answer,
+    CallPhase,
+    EndedCall,
+    IncomingCall,
+    Interceptor,
+    Proceed,
+    Simulator,
+)
 
 Call = Callable[..., types.CallToolResult]
 
@@ -58,6 +66,19 @@ def test_a_call_of_no_robot_is_seen_by_none(
 ) -> None:
     call(fleet, tool, arguments)
     assert seen == []
+
+
+def test_a_preview_is_handed_to_the_simulator_of_the_robot_it_names(
+    fleet: Fleet, call: Call, seen: list[Any]
+) -> None:
+    simulator = Simulator(tool="get_status", can=lambda tool: tool.name == "stop_robot")
+    fleet.robots["left"].tools.chain.simulate_with(simulator)
+    for name in ("left", "right-arm"):
+        call(fleet, "stop_robot", {"robot": name, "preview": True})
+    assert seen == [
+        ("left", "get_status", {"tool": "stop_robot", "arguments": {}}, True),
+        ("right-arm", "stop_robot", {"preview": True}, True),
+    ]
 
 
 def test_the_only_robot_of_a_table_need_not_be_named(
