@@ -217,9 +217,15 @@ def approval(text: str, folder: Path) -> None:
         print(question)
         return "yes"
 
-    context: Any = SimpleNamespace(role="operator", ask=ask)
+    async def proceed(call: Any) -> Any:
+        return None
+
     options = TaskOptions(approval=("run_task",), approval_roles=("operator",))
-    asyncio.run(Approval(options).ask("run_task", "carry out", text, context))
+    (step,) = Approval(options, {"run_task": lambda parsed: ("carry out", text)}).interceptors()
+    context = SimpleNamespace(role="operator", ask=ask)
+    call: Any = SimpleNamespace(name="run_task", context=context, parsed=None)
+    assert step.around is not None
+    asyncio.run(step.around(call, proceed))
 
 
 PLACES: dict[str, Callable[[str, Path], None]] = {

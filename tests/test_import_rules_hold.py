@@ -22,6 +22,7 @@ BELOW_GATE = CONTRACT | {"plugins", "planning", "config"}
 ALLOWED: dict[str, set[str]] = {
     "errors": set(),
     "foreign": {"errors"},
+    "moved": {"errors"},
     **{name: {"listing"} for name in ("feature", "command", "node")},
     "listing": set(),
     **{name: set() for name in ("hang_watch", "log_files")},
@@ -32,10 +33,11 @@ ALLOWED: dict[str, set[str]] = {
     "gate": BELOW_GATE,
     "estop": BELOW_GATE | {"gate"},
     "ros": BELOW_GATE | {"gate"},
-    "modules": BELOW_GATE | {"gate", "estop", "ros"},
+    "modules": BELOW_GATE | {"gate", "estop", "ros", "moved"},
     "supervisor": BELOW_GATE | {"gate", "ros", "modules"},
     "estop.server": BELOW_GATE | {"gate", "estop", "ros", "modules", "supervisor"},
-    "server": BELOW_GATE | {"gate", "estop", "ros", "modules", "supervisor", "estop.server"},
+    "server": BELOW_GATE
+    | {"gate", "estop", "ros", "modules", "supervisor", "estop.server", "moved"},
 }
 """Packages of the core by the packages that they may import (and `log_files`, all of them); `cli`
 may import all.
