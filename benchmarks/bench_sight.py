@@ -18,6 +18,7 @@ from rn_robot_fr3.cameras import cameras as fr3_cameras
 from rn_robot_fr3.scene import random_cubes
 from rn_robot_fr3.simulation import ArmSimulation
 from rn_simulation.cubes import RGBA_BY_COLOUR
+from rn_simulation.engine import ENGINES, EngineChoice
 from rn_standard.sight.colours import ColourLocator
 from rn_standard.sight.locator import CalibratedImage, LocatedObject
 from roboneuron import ConfigurationError, Frame
@@ -54,7 +55,7 @@ class Tally:
         for one in found:
             place = left.get(one.colour)
             error_m = np.inf if place is None else float(np.linalg.norm(one.position_m - place[0]))
-            if error_m > max(SAME_M, one.uncertainty_m):
+            if place is None or error_m > max(SAME_M, one.uncertainty_m):
                 self.false += 1
                 continue
             del left[one.colour]
@@ -113,7 +114,7 @@ def pictures(
 
 
 def scenes(
-    engine: str, count: int, first: int, displaced_m: float
+    engine: EngineChoice, count: int, first: int, displaced_m: float
 ) -> Iterator[tuple[ArmSimulation, dict[str, tuple[np.ndarray, float]]]]:
     """Open simulations of random scenes, with true centre and yaw by colour."""
     moved = [camera.displaced((displaced_m, 0.0, 0.0)) for camera in fr3_cameras()]
@@ -135,7 +136,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--scenes", type=int, default=50)
     parser.add_argument("--first", type=int, default=0, help="first seed")
-    parser.add_argument("--engines", nargs="+", default=["pybullet", "mujoco"])
+    parser.add_argument("--engines", nargs="+", default=ENGINES, choices=ENGINES)
     parser.add_argument("--noise", type=float, default=0.0, help=f"of a pixel, such as {NOISE}")
     parser.add_argument("--displaced-m", type=float, default=0.0, help="of the front camera")
     parser.add_argument("--json", type=Path)
@@ -153,7 +154,7 @@ def main() -> None:
         arguments.json.write_text(json.dumps(rows, indent=1))
 
 
-def play(arguments: argparse.Namespace, engine: str, tallies: dict[str, Tally]) -> None:
+def play(arguments: argparse.Namespace, engine: EngineChoice, tallies: dict[str, Tally]) -> None:
     """Look at the scenes of one engine, and add what was found."""
     locator = ColourLocator(None)
     locator.load()

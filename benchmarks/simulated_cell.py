@@ -52,7 +52,7 @@ class FailingGripper:
                 and self._simulation.tcp_pose().position_m[2] > self._let_go_m
             ):
                 wanted[finger] = 0.04
-                if self._simulation.gripper_open() > 0.9:
+                if (self._simulation.gripper_open() or 0.0) > 0.9:
                     self._fault = "has let go"
         return self._set_target(names, wanted, duration_s)
 
