@@ -37,6 +37,7 @@ from lost_cell import FR3, KINDS, STILL_RAD_S
 
 sys.path.pop(0)
 
+from rn_testing.domain import free_ros_domain
 from roboneuron.ros.environment import prepare_environment
 
 CONFIG = (
@@ -164,6 +165,7 @@ def main() -> int:
     folder.mkdir(parents=True, exist_ok=True)
     config = CONFIG.format(folder=folder) + '[server]\nreset_emergency_stop = "client"\n'
     (folder / "roboneuron.toml").write_text(config)
+    os.environ["ROS_DOMAIN_ID"] = str(free_ros_domain())
     prepare_environment(folder / "log")
     environment = dict(os.environ)
     environment.pop("ROBONEURON_RECORDER", None)
