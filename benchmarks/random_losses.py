@@ -32,25 +32,17 @@ import psutil
 
 sys.path.insert(0, str(Path(__file__).parent))
 from hang_arm import Arm
-from hang_parts import ENDED_S, NEVER, REST_S, Hangs, HungClient, alive, until, whole
-from lost_cell import FR3, KINDS, STILL_RAD_S
+from hang_parts import CONFIG, ENDED_S, NEVER, REST_S, Hangs, HungClient, alive, until, whole
+from lost_cell import KINDS, STILL_RAD_S
 
 sys.path.pop(0)
 
 from rn_testing.domain import free_ros_domain
 from roboneuron.ros.environment import prepare_environment
 
-CONFIG = (
-    FR3
-    + """
-[supervisor]
-state_directory = "{folder}/state"
-start_timeout_s = 120.0
-[ops.restart]
-perception = "never"
-"""
-)
 PROCESSES = ("server", *KINDS, "recorder")
+HANG_S = 15.0
+"""The default of `supervisor.hang_timeout_s`."""
 MOTIONS = ("run_task", "move_joints", "publish")
 WAYS = {"killed": signal.SIGKILL, "frozen": signal.SIGSTOP}
 JOINT = "fr3_joint7"
@@ -163,7 +155,9 @@ def main() -> int:
     arguments = parser.parse_args()
     folder = arguments.folder.absolute()
     folder.mkdir(parents=True, exist_ok=True)
-    config = CONFIG.format(folder=folder) + '[server]\nreset_emergency_stop = "client"\n'
+    config = (
+        CONFIG.format(folder=folder, bound=HANG_S) + '[server]\nreset_emergency_stop = "client"\n'
+    )
     (folder / "roboneuron.toml").write_text(config)
     os.environ["ROS_DOMAIN_ID"] = str(free_ros_domain())
     prepare_environment(folder / "log")
