@@ -25,6 +25,16 @@ from rn_backend_shared.server import SharedModelServer
 from rn_testing.waiting import wait_until
 
 
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningServer]:
+    """A server without encryption."""
+    folder = tmp_path_factory.mktemp("plain")
+    listen = {"keys": "token", "token_file": str(folder / "token")}
+    server = RunningServer(folder, {"only": {}}, listen).start()
+    yield server
+    server.end()
+
+
 @pytest.fixture
 def serve(tmp_path: Path) -> Iterator[Serve]:
     """Return a function that starts a server; its keys are those of a pair, or a token."""

@@ -5,7 +5,7 @@ served again soon afterwards, by itself.
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import closing, suppress
 from typing import Any
 
@@ -62,16 +62,6 @@ GARBAGE: dict[str, Send] = {
     ],
     "a model that loads": lambda _, frame: [with_document(frame, {"state": "loading", "pid": 1})],
 }
-
-
-@pytest.fixture(scope="module")
-def plain(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningServer]:
-    """A server without encryption."""
-    folder = tmp_path_factory.mktemp("plain")
-    listen = {"keys": "token", "token_file": str(folder / "token")}
-    server = RunningServer(folder, {"only": {}}, listen).start()
-    yield server
-    server.end()
 
 
 @pytest.mark.exhaustive

@@ -48,16 +48,6 @@ RAW = {"coding": "raw", "timeout_s": 3.0}
 
 
 @pytest.fixture(scope="module")
-def plain(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningServer]:
-    """A server without encryption, with the token from `shown`."""
-    folder = tmp_path_factory.mktemp("plain")
-    listen = {"keys": "token", "token_file": str(folder / "token")}
-    server = RunningServer(folder, {"only": {}}, listen).start()
-    yield server
-    server.end()
-
-
-@pytest.fixture(scope="module")
 def expected(plain: RunningServer) -> list[Any]:
     """The rows for each observation, requested without a man in the middle."""
     with closing(robot_of(plain.address, **shown(plain))) as robot:
