@@ -111,6 +111,19 @@ class ServedArm:
         self._call.start()
         return self._call
 
+    def moves_to(self, wrist: float) -> None:
+        """A call moves the wrist there. A busy machine may keep the server or the states silent for
+        longer than its bounds, which ends a motion: the next call moves it all the same.
+        """
+        for _ in range(3):
+            answer = self.answer("move_joints", positions={"fr3_joint7": wrist})
+            if not answer.is_error:
+                assert answer.structured_content["error"] < 0.01
+                return
+            print(f"The motion was ended: {answer.content}", file=sys.stderr)
+            assert answer.meta["roboneuron/error"]["code"] in {"not_ready", "wrong_state"}
+        raise AssertionError(f"No call moves the arm: {answer.content}")
+
     def wait_moving(self) -> None:
         """Raises AssertionError with the results of the call and the robot."""
         for _ in range(3):
@@ -189,8 +202,7 @@ def test_a_frozen_server_ends_a_direct_motion(arm: ServedArm, wait: Wait) -> Non
         "a server that lives again does not take the motion up again"
     )
     wait(lambda: "no sign of life" in arm.robot()["note"], 3.0, "the status says why")
-    moved = arm.do("move_joints", positions={"fr3_joint7": float(place[6]) + 0.2})
-    assert moved["error"] < 0.01
+    arm.moves_to(float(place[6]) + 0.2)
 
 
 def test_a_frozen_robot_ends_a_direct_motion_by_its_name(arm: ServedArm, wait: Wait) -> None:
@@ -213,8 +225,7 @@ def test_a_frozen_robot_ends_a_direct_motion_by_its_name(arm: ServedArm, wait: W
     place = arm.position.copy()
     time.sleep(1.0)  # to show that nothing happens
     assert np.abs(arm.position - place).max() < 0.01
-    moved = arm.do("move_joints", positions={"fr3_joint7": float(place[6]) * 0.9})
-    assert moved["error"] < 0.01
+    arm.moves_to(float(place[6]) * 0.9)
 
 
 def test_a_removed_state_directory_does_not_release_the_stop(arm: ServedArm, wait: Wait) -> None:
@@ -244,7 +255,7 @@ def test_a_removed_state_directory_does_not_release_the_stop(arm: ServedArm, wai
     arm.release()
     wait(lambda: not arm.do("get_status")["emergency_stop"], 3.0, "it is released")
     target = float(place[6]) - 0.2 * float(np.sign(place[6]))
-    assert arm.do("move_joints", positions={"fr3_joint7": target})["error"] < 0.01
+    arm.moves_to(target)
 
 
 def test_a_removed_state_directory_during_motion_stops_nothing_and_hides_no_stop(

@@ -236,6 +236,27 @@ def test_missing_joint_states_of_a_robot_that_runs_are_not_a_robot_that_was_not_
         anyio.run(joint_mover, MoveJoints(positions={"j1": 0.3}), CONTEXT)
 
 
+@pytest.mark.parametrize(("silent_s", "arrives"), [(0.3, True), (0.9, True), (30.0, False)])
+def test_states_that_a_busy_server_takes_late_end_no_motion(
+    arm: Arm, silent_s: float, arrives: bool
+) -> None:
+    gate: Any = arm
+    measure = arm.newest_joints
+
+    def late(exposed: Any) -> JointSample | None:
+        return None if 0.2 < arm.now_s < 0.2 + silent_s else measure(exposed)
+
+    arm.newest_joints = late  # type: ignore[method-assign]
+    limits = {"j1": JointLimit(lower=-1, upper=1, velocity=1, acceleration=1)}
+    joint_mover = JointMover(exposed(), limits, gate, arm.host)
+    if arrives:
+        assert anyio.run(joint_mover, MoveJoints(positions={"j1": 0.3}), CONTEXT).error < 0.01
+        return
+    with pytest.raises(StateError, match="not measured any more"):
+        anyio.run(joint_mover, MoveJoints(positions={"j1": 0.3}), CONTEXT)
+    assert arm.now_s < 2.0
+
+
 def test_what_is_held_is_carried_over_others_and_put_down_at_the_height_of_the_grasp(
     arm: Arm,
 ) -> None:

@@ -16,8 +16,10 @@ from roboneuron import F64, JointKinds, JointSample, Obstacle, RefusedError
 
 _PERIOD_S = 0.05
 """Period of the checks."""
-_SILENCE_S = 1.0
-"""Time without a measurement after which a planned motion is ended."""
+SILENCE_S = 1.0
+"""Time without a recent measurement after which a motion is ended, because a server on a busy
+machine takes states late.
+"""
 _TREMBLE = 1e-3
 """Change of a joint [rad or m] below which it is at rest; an arm at rest in a zone has not entered
 it.
@@ -75,7 +77,7 @@ class WayWatch:
         self._due_s = now_s + _PERIOD_S
         joints = self._joints()
         if joints is None:
-            if now_s - self._seen_s > _SILENCE_S:
+            if now_s - self._seen_s > SILENCE_S:
                 raise RefusedError("The joints are not measured any more.", rule="kinematics")
             return
         self._seen_s = now_s

@@ -17,6 +17,7 @@ from rn_standard.direct_path.delivery import TRAJECTORY
 from rn_standard.direct_path.derived import Derived
 from rn_standard.direct_path.exposed import gate_request
 from rn_standard.direct_path.speeds import shortest_s
+from rn_standard.direct_path.way_watch import SILENCE_S
 from rn_standard.stepped.clock import is_stepped
 from rn_standard.stepped.watch import SteppedWorld
 from rn_standard.tools_arm.grip import Grip, is_lost
@@ -46,7 +47,8 @@ _EASY, _EASY_ACCELERATION = 0.4, 0.5
 """Fractions of the velocity and acceleration limits used by a move without a given duration."""
 _NEARLY = 0.95
 """Fraction of a joint's permitted velocity this close to its limit."""
-_SETTLE_S = 3.0
+_LOOK_S, _SETTLE_S = 0.02, 3.0
+"""Period of the measurements of a motion, and how long after its duration it may still arrive."""
 _MEASURED_S = 2.0
 """Longest wait for a measurement, and for the robot's subscription."""
 
@@ -308,14 +310,20 @@ class JointMover:
         Raises:
             StateError: the joints are no longer measured, or do not arrive.
         """
-        began_s = told_s = time.monotonic()
+        began_s = told_s = seen_s = time.monotonic()
         rest = JointRest(target, self._profile.kinds)
         yield TimedCommand(message=message, due_s=began_s)
         while True:
             now_s = time.monotonic()
             joints = self._gate.newest_joints(self._exposed)
             if joints is None:
-                raise StateError("The joints are not measured any more.", hint="See get_status.")
+                if now_s - seen_s > SILENCE_S:
+                    raise StateError(
+                        "The joints are not measured any more.", hint="See get_status."
+                    )
+                yield TimedCommand(message=None, due_s=now_s + _LOOK_S)
+                continue
+            seen_s = now_s
             rests = rest.note(joints, now_s)
             is_there = self._is_there(target, joints)
             if is_there and rests and now_s - began_s >= duration_s * 0.9:
@@ -330,7 +338,7 @@ class JointMover:
                     f"{now_s - began_s:.1f} of {duration_s:.1f} s, "
                     f"{self._error(target, joints):.3f} to go"
                 )
-            yield TimedCommand(message=None, due_s=now_s + 0.02)
+            yield TimedCommand(message=None, due_s=now_s + _LOOK_S)
 
     def _stepped_commands(
         self, target: Mapping[str, float], message: object, duration_s: float, stage: Stage
