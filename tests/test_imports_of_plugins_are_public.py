@@ -63,7 +63,8 @@ PUBLISHED = {
     "console": "chosen_plugins client diagnostics plugin_options status",
     "control": "module planning",
     "direct_path": "allow_list arbiter delivery derived exposed fields interface_class joints "
-    "limits message_types path_limits peers places speeds truth twists type_hashes transforms",
+    "limits message_types path_limits peers places speeds truth twists type_hashes transforms "
+    "way_watch",
     "execution": "adaptive mode",
     "http": "addresses authentication bounded_server connections feature listener operator_lease "
     "options origins plugin tokens",
