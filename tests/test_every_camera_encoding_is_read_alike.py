@@ -21,7 +21,8 @@ from sensor_msgs.msg import CompressedImage, Image
 
 from rn_perception_camera.messages import decompress, to_rgb
 from rn_recorder_runs.images import pixels_of
-from rn_standard.tools_inspect.camera import encode, frame_of
+from rn_standard.sight.inputs import frame_of
+from rn_standard.tools_inspect.camera import encode
 from rn_standard.tools_ros.interfaces.picture import to_picture
 from roboneuron import InvalidInputError
 

@@ -18,7 +18,7 @@ GROUPS: Mapping[str, frozenset[str]] = {
         "joint_space": "JointLimit",
         "loading": "load_options_model",
         "log_files": "PlainFormatter opener",
-        "messages": "joints_from_message to_joint_trajectory",
+        "messages": "intrinsics_from_camera_info joints_from_message to_joint_trajectory",
         "models": "LimitsConfig Name Namespace Seconds",
         "reading": "parse_tables robot_folder",
         "settings": "EMERGENCY_STOP_TOPIC FOREIGN_REQUEST",

@@ -11,3 +11,9 @@ class SightOptions(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
     locator: str = Field(default="colours", description="the locator that finds objects")
+    table_m: float = Field(
+        default=0.0,
+        ge=-2,
+        le=2,
+        description="height of the table top in the base frame, where a pixel shows no object [m]",
+    )

@@ -7,12 +7,13 @@ from roboneuron import FeatureSpec
 
 FEATURE = FeatureSpec(
     name="sight",
-    summary="Finds objects in calibrated pictures, by locators.",
-    target="rn_standard.tools_arm.sight_feature:Sight",
+    summary="look and locate: objects in calibrated pictures, found by locators.",
+    target="rn_standard.tools_inspect.sight_feature:Sight",
     config="rn_standard.sight.options:SightOptions",
+    needs=("direct-path",),
     brings="rn_standard.sight.hooks:LocatorSpec",
 )
-"""Descriptor of the feature; the plugin rn-tools-arm offers it."""
+"""Descriptor of the feature; the plugin rn-tools-inspect offers it."""
 
 LOCATORS = (
     LocatorSpec(

@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rn_standard.selection.options import named_models
+from rn_standard.sight.inputs import Inputs, pose_of, pose_topic
 from rn_standard.tasks.approval import Approval, Subject
 from rn_standard.tasks.arbiter import TaskArbiter
 from rn_standard.tasks.events import LEADS, MONITORS, TASKS, EventLog, Watching, check_thresholds
 from rn_standard.tasks.examples import EXAMPLES
 from rn_standard.tasks.history import TaskHistory
 from rn_standard.tasks.hooks import MonitorSpec
-from rn_standard.tasks.inputs import Inputs, pose_of, pose_topic
 from rn_standard.tasks.lifecycle import list_models_tool, start_all_tool
 from rn_standard.tasks.moving import Mover, Places, check_places, move_to_subject, move_to_tool
 from rn_standard.tasks.options import TasksSections

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 
 from rn_standard.selection.requests import StartChosenInference
-from rn_standard.tasks.inputs import Inputs, pose_of, pose_topic
+from rn_standard.sight.inputs import Inputs, image_topic, pose_of, pose_topic
 from rn_standard.tasks.snapshot import ArmSnapshot, Snapshot, StillClock
 from rn_standard.tasks.task_robot import PolicyState
 from rn_standard.teleoperation.feature import TELEOPERATION, Teleoperation
@@ -96,7 +96,7 @@ class LiveCell:
                     f"until: {error.message}", hint=error.hint, path="until"
                 ) from error
         for camera in self._cameras:
-            self._inputs.open(self._image_topic(camera), "sensor_msgs/msg/Image")
+            self._inputs.open_camera(self._image_topic(camera))
         wanted = [self._image_topic(camera) for camera in self._cameras]
         deadline_s = time.monotonic() + _IMAGES_S
         while time.monotonic() < deadline_s and any(
@@ -284,7 +284,7 @@ class LiveCell:
         return {role: frame for role, frame in found.items() if frame is not None}
 
     def _image_topic(self, camera: str) -> str:
-        return f"/{self._host.config.namespace}/camera/{camera}/image"
+        return image_topic(self._host.config.namespace, camera)
 
     def _frame(self, camera: str) -> Frame | None:
         return self._inputs.frame(self._image_topic(camera), camera, self._profile)

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from threading import Event
 
+from rn_standard.sight.inputs import Inputs, pose_topic
 from rn_standard.stepped.clock import (
     FREE,
     ROWS_METRIC,
@@ -17,7 +18,6 @@ from rn_standard.stepped.clock import (
     UNANSWERED_S,
 )
 from rn_standard.stepped.watch import SteppedWorld
-from rn_standard.tasks.inputs import Inputs, pose_topic
 from rn_standard.tasks.live import LiveCell
 from rn_standard.tasks.snapshot import Snapshot
 from roboneuron import Host, RoboNeuronError, RobotProfile, StateError

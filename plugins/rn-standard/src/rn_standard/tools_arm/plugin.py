@@ -1,8 +1,5 @@
 """Descriptors of this package; standard library only."""
 
-from rn_standard.sight.hooks import LocatorSpec
-from rn_standard.sight.plugin import FEATURE as SIGHT
-from rn_standard.sight.plugin import LOCATORS
 from roboneuron import CommandSpec, FeatureSpec, hookimpl
 
 FEATURE = FeatureSpec(
@@ -36,13 +33,7 @@ COMMAND = CommandSpec(
 @hookimpl
 def roboneuron_features() -> tuple[FeatureSpec, ...]:
     """The features of this package."""
-    return (FEATURE, LIMITS, SIGHT)
-
-
-@hookimpl
-def roboneuron_locators() -> tuple[LocatorSpec, ...]:
-    """The locators of the standard features."""
-    return LOCATORS
+    return (FEATURE, LIMITS)
 
 
 @hookimpl

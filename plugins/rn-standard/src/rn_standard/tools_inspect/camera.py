@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Literal
 
 from pydantic import Field
 
+from rn_standard.sight.inputs import frame_of, image_topic, why_no_image
 from roboneuron import (
     Arguments,
     CallContext,
@@ -21,7 +22,6 @@ from roboneuron import (
     Result,
     RobotSpec,
     Tool,
-    frame_from_buffer,
 )
 
 if TYPE_CHECKING:
@@ -101,12 +101,12 @@ def read_frame(host: Host, camera: str, timeout_s: float) -> Frame:
     graph = host.graph  # first: two threads must not import rclpy at the same time
     from sensor_msgs.msg import Image  # heavy
 
-    topic = f"/{host.config.namespace}/camera/{camera}/image"
+    topic = image_topic(host.config.namespace, camera)
     changes, deadline_s = host.modules.changes, time.monotonic() + timeout_s
     publishers = changes.wait_for(lambda: graph.publishers(topic) or None, timeout_s)
     if not publishers:
         raise NotReadyError(
-            f"Nobody publishes images of camera {camera!r} on {topic}.", hint=_hint(host)
+            f"Nobody publishes images of camera {camera!r} on {topic}.", hint=why_no_image(host)
         )
     foreign = [info.topic_type for info in publishers if info.topic_type != IMAGE_TYPE]
     if foreign:
@@ -125,7 +125,7 @@ def read_frame(host: Host, camera: str, timeout_s: float) -> Frame:
     if not arrived:
         raise NotReadyError(
             f"Camera {camera!r} delivered no image on {topic} within {timeout_s:g} s.",
-            hint=_hint(host),
+            hint=why_no_image(host),
         )
     return frame_of(received[0], camera)
 
@@ -153,37 +153,3 @@ def check_camera(host: Host, camera: str) -> None:
             hint=f"Choose one of: {', '.join(known)}." if known else "It has none.",
             path="camera",
         )
-
-
-def _hint(host: Host) -> str:
-    view = host.modules.view("perception")
-    if view.phase == "running" and view.plan is not None:
-        return f"Perception runs with the cameras: {view.plan.names.get('cameras', 'none')}."
-    if view.phase in ("starting", "stopping"):
-        return f"Perception is {view.phase}: wait for that, then try again."
-    if view.phase == "exited":
-        return (
-            "Perception ended by itself: see get_logs. Unless it is restarted by itself, call "
-            "start_perception."
-        )
-    return "Call start_perception first."
-
-
-def frame_of(message: Image, camera: str) -> Frame:
-    """Frame of an image message. Raises InvalidInputError: it is damaged or no picture."""
-    stamp_ns = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
-    if stamp_ns <= 0:
-        raise InvalidInputError(
-            f"An image of camera {camera!r} carries no capture time in header.stamp."
-        )
-    pixels = frame_from_buffer(
-        message.data,
-        width=message.width,
-        height=message.height,
-        step=message.step,
-        encoding=message.encoding,
-        is_bigendian=bool(message.is_bigendian),
-    )
-    return Frame(
-        camera=camera, image=pixels, stamp_ns=stamp_ns, frame_id=message.header.frame_id or camera
-    )

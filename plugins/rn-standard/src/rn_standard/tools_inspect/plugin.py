@@ -1,5 +1,8 @@
 """Descriptors of this package; standard library only."""
 
+from rn_standard.sight.hooks import LocatorSpec
+from rn_standard.sight.plugin import FEATURE as SIGHT
+from rn_standard.sight.plugin import LOCATORS
 from roboneuron import FeatureSpec, hookimpl
 
 FEATURE = FeatureSpec(
@@ -13,4 +16,10 @@ FEATURE = FeatureSpec(
 @hookimpl
 def roboneuron_features() -> tuple[FeatureSpec, ...]:
     """The features of this package."""
-    return (FEATURE,)
+    return (FEATURE, SIGHT)
+
+
+@hookimpl
+def roboneuron_locators() -> tuple[LocatorSpec, ...]:
+    """The locators of the standard features."""
+    return LOCATORS
