@@ -256,7 +256,7 @@ async def release(agent: Agent) -> None:
     pressed = await agent.do("emergency_stop", reason="a person asked")
     refused = await agent.do("move_ee", dz_m=0.02)
     released = await agent.do("reset_emergency_stop")
-    before = await agent.do("move_ee", dz_m=-0.02, dry_run=True)
+    before = await agent.do("move_ee", dz_m=-0.02, simulate=True)
     agent.check("it stops", pressed.get("latched") is True)
     agent.check("nothing moves then, and the reason is told", "latched" in refused.get("error", ""))
     agent.check("a person releases it", released.get("latched") is False)

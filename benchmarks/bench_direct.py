@@ -123,7 +123,7 @@ async def measure_stops(
             with anyio.fail_after(30):
                 while not (
                     await client.call_tool(
-                        "publish_velocity_sequence", {"steps": steps, "dry_run": True}
+                        "publish_velocity_sequence", {"steps": steps, "simulate": True}
                     )
                 ).structured_content["allowed"]:
                     await anyio.sleep(0.01)

@@ -70,7 +70,7 @@ STARTS: Mapping[str, Mapping[str, Any]] = {
 }
 """Calls that start modules; two of them a policy that moves the arm."""
 SWITCHES = ("switch_perception", "switch_inference", "switch_control")
-OTHERS = ("set_instruction", "lead_arm", "preview", "start_recording", "play_recording")
+OTHERS = ("set_instruction", "lead_arm", "simulate", "start_recording", "play_recording")
 CALLS = (*MOTIONS, *STARTS, *SWITCHES, *OTHERS)
 FROM_HOME = ("move_ee", "posture", "straight")
 

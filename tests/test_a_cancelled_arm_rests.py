@@ -184,13 +184,13 @@ def check_lead(arm: Arm, client: HttpClient | StdioClient, way: Way, call: str) 
         arm.push(False)
 
 
-def check_preview(arm: Arm, client: HttpClient | StdioClient, way: Way, call: str) -> str:
-    """A cancelled preview moves nothing, as does a preview; the next one is answered."""
-    motion = {"positions": {"fr3_joint1": 0.2}, "duration_s": 6, "preview": True}
+def check_simulate(arm: Arm, client: HttpClient | StdioClient, way: Way, call: str) -> str:
+    """A cancelled simulation moves nothing, as does a simulation; the next one is answered."""
+    motion = {"positions": {"fr3_joint1": 0.2}, "duration_s": 6, "simulate": True}
     client.begin("move_joints", motion)
     client.cancel(way)
-    assert not holds_within(arm.moves, QUIET_S), "a preview moves the arm"
-    assert arm.steward.call("move_joints", motion)["preview"]
+    assert not holds_within(arm.moves, QUIET_S), "a simulation moves the arm"
+    assert arm.steward.call("move_joints", motion)["simulated"]
     return "moves nothing"
 
 
@@ -212,7 +212,7 @@ def check_recording(arm: Arm, client: HttpClient | StdioClient, way: Way, call: 
 _CHECKS: dict[str, Callable[[Arm, Any, Way, str], str]] = {
     "set_instruction": check_instruction,
     "lead_arm": check_lead,
-    "preview": check_preview,
+    "simulate": check_simulate,
     "start_recording": check_recording,
 }
 assert set(HTTP_WAYS) | set(STDIO_WAYS) == set(get_args(Way))

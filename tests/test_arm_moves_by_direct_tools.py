@@ -97,7 +97,7 @@ def test_joints_trajectory_and_end_effector(tmp_path: Path, environment: dict[st
 
             # into the table; through the zone to its other side
             for arguments in ({"dz_m": -0.5}, {"dy_m": 0.45}):
-                asked = await do("move_ee", **arguments, dry_run=True)
+                asked = await do("move_ee", **arguments, simulate=True)
                 assert not asked["allowed"], asked
                 assert "short" in asked["reason"]
                 assert "holding" in asked["reason"]
@@ -108,7 +108,7 @@ def test_joints_trajectory_and_end_effector(tmp_path: Path, environment: dict[st
                 "move_joints",
                 positions=dict(zip(state["name"][:7], state["position"][:7], strict=True)),
             )
-            free = await do("move_ee", dx_m=0.03, dz_m=0.05, dry_run=True)
+            free = await do("move_ee", dx_m=0.03, dz_m=0.05, simulate=True)
             assert free["allowed"], free
             assert free["sent"] == 0
 
@@ -131,7 +131,7 @@ def test_joints_trajectory_and_end_effector(tmp_path: Path, environment: dict[st
                     {"positions": [0.6], "time_from_start": 8.0}]}}),
             ):  # fmt: skip
                 assert "would enter 'person'" in await fail(tool, **arguments)
-                assert not (await do(tool, **arguments, dry_run=True))["allowed"]
+                assert not (await do(tool, **arguments, simulate=True))["allowed"]
             assert "fr3_hand and lamp would be" in await fail(
                 "move_joints", positions={"fr3_joint1": -0.6}
             )

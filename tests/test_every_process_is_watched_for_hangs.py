@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from rn_standard.preview.twin_process import COMMAND
+from rn_standard.simulate.twin_process import COMMAND
 from rn_testing.waiting import wait_until
 from roboneuron.hang_watch import END_SIGNAL
 

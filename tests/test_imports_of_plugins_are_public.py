@@ -40,7 +40,7 @@ NEEDS = {
     "inference": {"stepped"},
     "limits": {"tools_arm"},
     "ops": {"tools_loop"},
-    "preview": {"direct_path", "tasks", "tools_arm", "tools_ros"},
+    "simulate": {"direct_path", "tasks", "tools_arm", "tools_ros"},
     "selection": {"inference"},
     "switching": {"control", "inference", "selection", "tools_loop"},
     "sight": {"direct_path", "stepped"},

@@ -68,7 +68,7 @@ class Caller:
     """CallContext of a client whose user does not agree to anything, or does not answer."""
 
     def __init__(self, who: str = "agent", role: str = "operator", answer: str = "yes") -> None:
-        self.who, self.role = who, role
+        self.who, self.role, self.simulated = who, role, False
         self._answer = answer
 
     async def run(self, work: Callable[[Stage], Any], **_: Any) -> Any:

@@ -75,7 +75,7 @@ async def keeps_what_it_holds(agent: CubeAgent) -> None:
     before = await agent.held_cube("green")
     assert before["lifted_m"] > 0.1
 
-    asked = await agent.do("move_ee", dz_m=0.02, dry_run=True)
+    asked = await agent.do("move_ee", dz_m=0.02, simulate=True)
     assert asked["target_m"][2] == pytest.approx(asked["position_m"][2] + 0.02, abs=1e-4)
     assert asked["duration_s"] > 0.0
     assert asked["holding"] is True

@@ -259,7 +259,7 @@ async def is_free(client: Client, within_s: float) -> bool:
     """True as soon as nothing drives any more."""
     end_s = time.monotonic() + within_s
     while time.monotonic() < end_s:
-        said = str(await client.call("publish_velocity", {**DRIVE, "dry_run": True}))
+        said = str(await client.call("publish_velocity", {**DRIVE, "simulate": True}))
         if '"allowed":true' in said.replace("'", '"').replace(" ", "").lower():
             return True
         await asyncio.sleep(0.1)

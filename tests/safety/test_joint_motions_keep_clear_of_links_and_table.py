@@ -65,7 +65,7 @@ def make_ask(tmp_path: Path) -> Callable[..., Ask]:
         )
 
         def ask(
-            start: np.ndarray, target: np.ndarray, duration_s: float = 60.0, dry_run: bool = False
+            start: np.ndarray, target: np.ndarray, duration_s: float = 60.0, simulated: bool = False
         ) -> str:
             command = JointCommand(names=COMMANDED, position=target, duration_s=duration_s)
             request = GateRequest(
@@ -75,7 +75,7 @@ def make_ask(tmp_path: Path) -> Callable[..., Ask]:
                 robot="fr3",
                 endpoint="joint_trajectory",
                 messages=(to_joint_trajectory(command),),
-                dry_run=dry_run,
+                simulated=simulated,
                 joints=JointSample(names=JOINTS, position=np.append(start, start[-1])),
             )
             try:
@@ -149,7 +149,7 @@ def test_move_joints_does_not_press_link_6_into_the_base(
     assert "mm apart, at least 10 mm are required" in reason
     alone = make_ask()(BASE_AND_LINK6 + np.array([0, -0.2, 0, 0, 0, 0, 0, 0]), BASE_AND_LINK6)
     assert alone.startswith("fr3_link0 and fr3_link6 would be ")
-    assert make_ask()(HOME, BASE_AND_LINK6, dry_run=True) == reason
+    assert make_ask()(HOME, BASE_AND_LINK6, simulated=True) == reason
     assert make_ask("collision = false")(HOME, BASE_AND_LINK6) == ""
 
 

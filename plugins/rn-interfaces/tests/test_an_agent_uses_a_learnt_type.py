@@ -257,7 +257,7 @@ def test_another_definition_of_the_type_is_refused(store: DefinitionStore, tmp_p
                 ("read_done", {}),
                 ("publish_seam", {"message": {}}),
                 ("call_strike", {"request": {}}),
-                ("call_strike", {"request": {}, "dry_run": True}),
+                ("call_strike", {"request": {}, "simulate": True}),
                 ("send_weld_goal", {"goal": {"seam": {}}}),
             )
             for tool, arguments in calls:

@@ -104,6 +104,8 @@ class Silent:
 class Context:
     """Runs work at once."""
 
+    simulated = False
+
     who, role = "ann", "operator"
 
     async def run(self, work: Callable[[Callable[[str], None]], Any]) -> Any:

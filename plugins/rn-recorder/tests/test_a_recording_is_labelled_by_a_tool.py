@@ -20,6 +20,8 @@ Do = Callable[..., Any]
 class Context:
     """Runs work at once."""
 
+    simulated = False
+
     who, role = "ann", "operator"
 
     async def run(self, work: Callable[[Callable[[str], None]], Any]) -> Any:

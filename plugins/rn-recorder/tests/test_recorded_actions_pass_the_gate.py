@@ -86,7 +86,7 @@ def application(application_of: Callable[..., Application]) -> Application:
 class Caller:
     """Context of a call by an operator, on the test's own thread."""
 
-    who, role = "somebody", "operator"
+    who, role, simulated = "somebody", "operator", False
 
     async def run(self, work: Callable[[Callable[[str], None]], Any], **rest: Any) -> Any:
         """Do it at once."""

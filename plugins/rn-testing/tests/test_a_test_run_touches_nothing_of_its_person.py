@@ -190,10 +190,10 @@ def test_what_mounts_is_free_of_the_guard(
 
 @pytest.mark.exhaustive
 @pytest.mark.timeout(180)
-def test_previews_pass_beside_a_pressed_stop_of_the_person(person: Person) -> None:
+def test_simulated_calls_pass_beside_a_pressed_stop_of_the_person(person: Person) -> None:
     before = person.files()
     done = person.pytest(
-        str(ROOT / "tests" / "test_previews_move_nothing.py"), f"-c{ROOT}/pyproject.toml"
+        str(ROOT / "tests" / "test_simulated_calls_move_nothing.py"), f"-c{ROOT}/pyproject.toml"
     )
     assert done.returncode == 0, done.stdout + done.stderr
     assert person.files() == before

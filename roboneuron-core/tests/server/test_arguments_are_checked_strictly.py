@@ -24,7 +24,7 @@ class Move(Arguments):
     speed: float = Field(default=1.0, ge=0, le=2)
     times: int = Field(default=1, ge=1)
     form: Literal["jpeg", "png"] = "jpeg"
-    dry_run: bool = False
+    is_slow: bool = False
     steps: list[Step] = Field(default_factory=list)
     note: str | None = None
     box_m: tuple[float, float] = (0.0, 1.0)
@@ -40,7 +40,7 @@ class Move(Arguments):
         ({"speed": 3}, "Argument 'speed' is 3, expected less than or equal to 2", "speed"),
         ({"times": True}, "Argument 'times' is True, expected a valid integer", "times"),
         ({"times": 1.5}, "Argument 'times' is 1.5, expected a valid integer", "times"),
-        ({"dry_run": 1}, "Argument 'dry_run' is 1, expected a valid boolean", "dry_run"),
+        ({"is_slow": 1}, "Argument 'is_slow' is 1, expected a valid boolean", "is_slow"),
         (
             {"form": "pgn"},
             "Argument 'form' is 'pgn'. Did you mean 'png'? Choose one of: jpeg, png.",

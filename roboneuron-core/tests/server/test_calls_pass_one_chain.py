@@ -30,6 +30,11 @@ class Distance(Arguments):
     """How far to go."""
 
     far_m: float = 0.0
+
+
+class Trained(Arguments):
+    """A tool's own argument of a former name."""
+
     preview: bool = False
 
 
@@ -54,7 +59,10 @@ class Robot:
         self.ended: list[EndedCall] = []
         self.registry = ToolRegistry(
             [
-                self.tool("drive"),
+                self.tool("drive", simulated_by=frozenset({"twin", "limits"})),
+                self.tool("throw"),
+                self.tool("fall", simulated_by=frozenset({"twin"})),
+                self.tool("train", arguments=Trained),
                 self.tool("look", read_only=True),
                 self.tool("emergency_stop", always=True, role="viewer"),
                 self.tool("rehearse", arguments=Asked, read_only=True),
@@ -68,7 +76,8 @@ class Robot:
 
         async def handler(given: Arguments, context: CallContext) -> Said:
             self.done.append(name)
-            return Said(said=f"{name} {given.given()}")
+            how = " simulated" if context.simulated and name != "rehearse" else ""
+            return Said(said=f"{name} {given.given()}{how}")
 
         return Tool(
             name=name,
@@ -97,7 +106,7 @@ class Robot:
         self, name: str, arguments: Mapping[str, Any] | None = None, role: str = "operator"
     ) -> types.CallToolResult:
         """Call a tool."""
-        context: Any = SimpleNamespace(who="agent", role=role)
+        context: Any = SimpleNamespace(who="agent", role=role, simulated=False)
         return anyio.run(self.registry.call, name, arguments or {}, context)
 
 
@@ -228,37 +237,110 @@ def test_a_long_work_asks_permission_and_arbitration_again() -> None:
     )
     tool = robot.registry.get("drive")
     assert tool is not None
-    context: Any = SimpleNamespace(who="agent", role="operator")
+    context: Any = SimpleNamespace(who="agent", role="operator", simulated=False)
     robot.registry.chain.check_permitted(tool, context)
     assert asked == [CallPhase.PERMISSION, CallPhase.ARBITRATION]
 
 
 class TestSimulation:
-    """A call with preview=true."""
+    """A call with simulate=true: the twin answers it, or the limits do, or it is refused; no tool
+    that acts is called.
+    """
 
     @pytest.fixture
     def robot(self) -> Robot:
-        robot = Robot()
-        robot.registry.chain.simulate_with(
-            Simulator(tool="rehearse", can=lambda t: t.name == "drive")
-        )
-        return robot
+        return Robot()
 
-    def test_it_becomes_a_call_that_reads_and_needs_no_operator(self, robot: Robot) -> None:
-        answer = robot.call("drive", {"far_m": 2.0, "preview": True}, role="viewer")
+    @pytest.fixture
+    def twin(self, robot: Robot) -> list[bool]:
+        """Whether there is a twin: the last element."""
+        there = [True]
+        robot.registry.chain.simulate_with(Simulator(tool="rehearse", is_there=lambda: there[-1]))
+        return there
+
+    def test_the_twin_answers_and_no_operator_is_needed(
+        self, robot: Robot, twin: list[bool]
+    ) -> None:
+        answer = robot.call("drive", {"far_m": 2.0, "simulate": True}, role="viewer")
         said = "rehearse {'tool': 'drive', 'arguments': {'far_m': 2.0}}"
         assert answer.structured_content == {"said": said}
         assert robot.done == ["rehearse"]
         assert [ended.call.name for ended in robot.ended] == ["rehearse"]
 
-    @pytest.mark.parametrize("value", [False, 1, "true", None])
-    def test_nothing_but_true_asks_for_it(self, robot: Robot, value: object) -> None:
-        robot.call("drive", {"preview": value}, role="viewer")
+    @pytest.mark.parametrize("old", ["dry_run", "preview"])
+    def test_the_old_names_are_accepted_and_said_to_be_old(
+        self, robot: Robot, twin: list[bool], old: str
+    ) -> None:
+        answer = robot.call("drive", {"far_m": 2.0, old: True})
+        assert robot.done == ["rehearse"]
+        assert old in (answer.structured_content or {})["deprecated"]
+
+    def test_without_a_twin_the_handler_answers_and_is_told_to_send_nothing(
+        self, robot: Robot, twin: list[bool]
+    ) -> None:
+        twin.append(False)
+        answer = robot.call("drive", {"far_m": 2.0, "simulate": True}, role="viewer")
+        assert answer.structured_content == {"said": "drive {'far_m': 2.0} simulated"}
+
+    @pytest.mark.parametrize("name", ["look", "throw", "fall"])
+    def test_a_tool_that_cannot_be_simulated_refuses_and_is_not_called(
+        self, robot: Robot, twin: list[bool], name: str
+    ) -> None:
+        twin.append(False)
+        answer = robot.call(name, {"simulate": True})
+        assert (answer.meta or {})[ERROR_META]["rule"] == "simulate"
+        assert robot.done == []
+        assert [ended.code for ended in robot.ended] == ["refused"]
+
+    @pytest.mark.parametrize("key", ["simulate", "dry_run", "preview"])
+    @pytest.mark.parametrize("value", [1, "true", None, [True]])
+    def test_nothing_but_true_and_false_is_understood(
+        self, robot: Robot, twin: list[bool], key: str, value: object
+    ) -> None:
+        assert code_of(robot.call("drive", {key: value})) == "invalid_input"
         assert robot.done == []
 
-    def test_there_is_one_simulator(self, robot: Robot) -> None:
+    @pytest.mark.parametrize("key", ["simulate", "dry_run", "preview"])
+    def test_false_is_a_call_as_any_other(self, robot: Robot, key: str) -> None:
+        assert not robot.call("throw", {key: False}).is_error
+        assert robot.done == ["throw"]
+
+    def test_of_two_names_that_disagree_the_careful_one_counts(
+        self, robot: Robot, twin: list[bool]
+    ) -> None:
+        robot.call("drive", {"simulate": False, "dry_run": True})
+        assert robot.done == ["rehearse"]
+
+    def test_an_argument_of_the_tool_keeps_its_own_name(self, robot: Robot) -> None:
+        assert not robot.call("train", {"preview": True}).is_error
+        assert robot.done == ["train"]
+
+    def test_a_stop_is_never_only_simulated(self, robot: Robot) -> None:
+        pressed: list[str] = []
+        robot.registry.chain.press_first(lambda *, who, reason: pressed.append(who))
+        robot.call("emergency_stop", {"simulate": True})
+        assert pressed == ["agent"]
+
+    def test_a_tool_called_by_another_one_moves_nothing_either(self, robot: Robot) -> None:
+        tool = robot.registry.get("throw")
+        assert tool is not None
+        context: Any = SimpleNamespace(who="agent", role="operator", simulated=True)
+        with pytest.raises(RefusedError) as refused:
+            anyio.run(tool.call, {}, context)
+        assert refused.value.rule == "simulate"
+        assert robot.done == []
+
+    def test_it_is_listed_for_the_tools_that_can(self, robot: Robot) -> None:
+        listed = {
+            tool.name
+            for tool in robot.registry.listing()
+            if "simulate" in tool.input_schema["properties"]
+        }
+        assert listed == {"drive", "fall"}
+
+    def test_there_is_one_simulator(self, robot: Robot, twin: list[bool]) -> None:
         with pytest.raises(InternalError):
-            robot.registry.chain.simulate_with(Simulator(tool="look", can=lambda tool: True))
+            robot.registry.chain.simulate_with(Simulator(tool="look", is_there=lambda: True))
 
 
 @pytest.mark.parametrize(
@@ -291,7 +373,7 @@ def test_a_cancelled_call_is_reported_as_such() -> None:
     robot.registry.chain.intercept([Interceptor(name="wait", phase=CallPhase.HANDLER, around=wait)])
 
     async def scenario() -> None:
-        context: Any = SimpleNamespace(who="agent", role="operator")
+        context: Any = SimpleNamespace(who="agent", role="operator", simulated=False)
         async with anyio.create_task_group() as group:
             group.start_soon(robot.registry.call, "drive", {}, context)
             await anyio.wait_all_tasks_blocked()

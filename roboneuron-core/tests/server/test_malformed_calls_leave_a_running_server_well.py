@@ -67,7 +67,7 @@ bounds = {{ "gain" = [0, 10] }}
 TWIST = {part: dict.fromkeys("xyz", 0.1) for part in ("linear", "angular")}
 POINT = {"positions": [0.1], "velocities": [0.1], "time_from_start": {"sec": 1, "nanosec": 0}}
 GOOD: dict[str, dict[str, Any]] = {
-    "publish_velocity": {"message": TWIST, "duration_s": 1, "timeout_s": 1, "dry_run": False},
+    "publish_velocity": {"message": TWIST, "duration_s": 1, "timeout_s": 1, "simulate": False},
     "publish_velocity_sequence": {"steps": [{"message": TWIST, "duration_s": 1}], "times": 2},
     "publish_speech": {"message": {"data": "x"}, "timeout_s": 1},
     "publish_picture": {

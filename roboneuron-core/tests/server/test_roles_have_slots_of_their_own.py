@@ -12,7 +12,7 @@ from roboneuron.server.tool import CallContext, NoArguments, Result, Tool
 
 
 def context(role: str) -> Any:
-    return SimpleNamespace(who=role, role=role)
+    return SimpleNamespace(who=role, role=role, simulated=False)
 
 
 def test_a_viewer_with_all_its_slots_taken_leaves_those_of_the_others() -> None:

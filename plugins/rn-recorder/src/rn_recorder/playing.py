@@ -176,7 +176,7 @@ def _motions(
             arguments.given(),
             send_at_s=at_s,
         )
-        verdict = host.gate.check(replace(request, dry_run=True))
+        verdict = host.gate.check(replace(request, simulated=True))
         if not verdict.allowed:
             raise RefusedError(
                 f"A recorded action is refused, nothing was sent: {verdict.reason}",
@@ -199,8 +199,8 @@ def _send(
         )
         if not done.verdict.may_send:
             raise RefusedError(
-                done.verdict.reason or "The server makes dry runs only.",
-                rule=done.verdict.rule or "dry_run",
+                done.verdict.reason or "The server simulates only.",
+                rule=done.verdict.rule or "simulate",
             )
         sent += done.messages
     return sent

@@ -33,5 +33,5 @@ class SimulatedFr3Driver(SimulatedArmDriver):
         self._headless = simulation(gui=False)
 
     def twin(self) -> CellTwin:
-        """Twin for previews, without a window."""
+        """Twin for simulated calls, without a window."""
         return CellTwin(self._headless)

@@ -111,7 +111,7 @@ class SimulatedArmDriver:
         self._time.start(self._simulation, self._advance)
 
     def twin(self) -> CellTwin:
-        """Return the twin for previews; the driver must not be open."""
+        """Return the twin for simulated calls; the driver must not be open."""
         return CellTwin(self._simulation)
 
     def read(self) -> RobotState:

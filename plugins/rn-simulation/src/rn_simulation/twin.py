@@ -1,4 +1,4 @@
-"""A second world of a simulated cell, in which previews run faster than real time."""
+"""A second world of a simulated cell, in which simulated calls run faster than real time."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ MOVED_M = 0.004
 
 
 class CellTwin:
-    """Follows the protocol `rn_standard.preview.twin.Twin`; used from one thread.
+    """Follows the protocol `rn_standard.simulate.twin.Twin`; used from one thread.
 
     It has no clock and no topics: time only passes in `advance`, and nothing is published.
 

@@ -89,7 +89,7 @@ def make_gate(latch: EmergencyStopLatch, audit: AuditLog, clock: Any) -> Callabl
 
     def make(
         changed: Endpoint | None = None,
-        dry_run: bool = False,
+        simulated: bool = False,
         audit: AuditLog = audit,
         **entry: Any,
     ) -> Gate:
@@ -100,7 +100,7 @@ def make_gate(latch: EmergencyStopLatch, audit: AuditLog, clock: Any) -> Callabl
             AllowedEndpoint(robot="arm", endpoint=e, profile=PROFILE, **entry)
             for e in endpoints.values()
         ]
-        return Gate(allowed, latch=latch, audit=audit, clock=clock.monotonic, dry_run=dry_run)
+        return Gate(allowed, latch=latch, audit=audit, clock=clock.monotonic, simulated=simulated)
 
     return make
 

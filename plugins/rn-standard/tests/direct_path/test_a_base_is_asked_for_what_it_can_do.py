@@ -84,7 +84,7 @@ def test_a_velocity_with_a_header_is_held_to_the_steering_too(
     stamped: Any = replace(CAR, type="geometry_msgs/msg/TwistStamped")
     gate = make_gate(stamped)
     turn = {"twist": {"linear": {"x": 0.4}, "angular": {"z": 1.0}}}
-    verdict = gate.check(ask(stamped, turn, dry_run=True))
+    verdict = gate.check(ask(stamped, turn, simulated=True))
     assert (verdict.allowed, verdict.rule) == (False, "steering")
     wide = {"twist": {"linear": {"x": 0.6}, "angular": {"z": 1.0}}}
     assert gate.check(ask(stamped, wide)).may_send

@@ -72,7 +72,7 @@ def test_a_motion_that_is_refused_waits_for_nobody(
 def test_a_gate_that_only_answers_plays_nothing(
     make_gate: Callable[..., Gate], drive: ExposedEndpoint, ask: Ask, make_bench: Callable[..., Any]
 ) -> None:
-    bench = make_bench(make_gate(dry_run=True))
+    bench = make_bench(make_gate(simulated=True))
     bench.writer.listeners = 3
     sent = bench.play(drive, ask(drive.endpoint, FORWARD))
     assert (sent.messages, sent.subscribers, sent.verdict.may_send) == (0, 3, False)

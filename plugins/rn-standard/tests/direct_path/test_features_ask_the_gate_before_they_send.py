@@ -60,9 +60,9 @@ def test_a_gate_without_a_say_permits_everything_and_is_never_still(
 
 
 def test_a_question_is_answered_by_the_gate(bench: Any, drive: ExposedEndpoint, ask: Ask) -> None:
-    verdict = bench.motion_gate.ask(drive, ask(drive.endpoint, FORWARD, dry_run=True))
-    assert (verdict.allowed, verdict.dry_run, verdict.may_send) == (True, True, False)
-    far = ask(drive.endpoint, {"linear": {"x": 9.0}}, dry_run=True)
+    verdict = bench.motion_gate.ask(drive, ask(drive.endpoint, FORWARD, simulated=True))
+    assert (verdict.allowed, verdict.simulated, verdict.may_send) == (True, True, False)
+    far = ask(drive.endpoint, {"linear": {"x": 9.0}}, simulated=True)
     assert bench.motion_gate.ask(drive, far).rule == "bounds"
 
 
@@ -70,9 +70,9 @@ def test_a_question_while_a_policy_moves_the_robot_is_answered_no(
     bench: Any, drive: ExposedEndpoint, ask: Ask
 ) -> None:
     bench.policy = "The policy 'instant' moves 'arm'."
-    request = ask(drive.endpoint, FORWARD, dry_run=True)
+    request = ask(drive.endpoint, FORWARD, simulated=True)
     verdict = bench.motion_gate.ask(drive, request)
-    assert (verdict.allowed, verdict.dry_run, verdict.rule) == (False, True, "ownership")
+    assert (verdict.allowed, verdict.simulated, verdict.rule) == (False, True, "ownership")
     assert verdict.reason.startswith(bench.policy)
     bench.gate.latch.press(who="a person", reason="a test")
     verdict = bench.motion_gate.ask(drive, request)
@@ -80,17 +80,17 @@ def test_a_question_while_a_policy_moves_the_robot_is_answered_no(
 
 
 @pytest.mark.parametrize("is_motion", [False, True])
-def test_a_dry_run_sends_nothing_and_tells_who_listens(
+def test_a_simulated_request_sends_nothing_and_tells_who_listens(
     bench: Any, drive: ExposedEndpoint, ask: Ask, is_motion: bool
 ) -> None:
-    request = ask(drive.endpoint, FORWARD, dry_run=True)
+    request = ask(drive.endpoint, FORWARD, simulated=True)
     bench.writer.listeners = 3
     if is_motion:
         sent = bench.play(drive, request)
     else:
         sent = bench.motion_gate.publish(drive, request, timeout_s=1.0)
     assert (sent.messages, sent.subscribers) == (0, 3)
-    assert sent.verdict.dry_run
+    assert sent.verdict.simulated
     assert sent.verdict.allowed
     assert (bench.sent, bench.writer.waits_s, bench.permitted) == ([], [], [])
 
@@ -133,17 +133,17 @@ def test_a_stop_while_a_request_waits_to_be_sent_keeps_it_from_its_service(
     assert bench.traffic.calls == []
 
 
-def test_a_dry_run_of_a_request_calls_nobody(
+def test_a_simulated_request_of_a_request_calls_nobody(
     bench: Any, endpoints: dict[str, Endpoint], ask: Ask, expose: Callable[..., ExposedEndpoint]
 ) -> None:
     enable = expose(endpoints["enable"])
-    request = ask(enable.endpoint, {"data": True}, dry_run=True)
+    request = ask(enable.endpoint, {"data": True}, simulated=True)
     verdict, call = bench.motion_gate.send_request(enable, request, print)
     assert (verdict.allowed, call) == (True, None)
     assert (bench.traffic.calls, bench.permitted) == ([], [])
 
 
-def test_a_query_is_answered_in_a_dry_run_and_while_a_policy_moves_the_robot(
+def test_a_query_is_answered_in_a_simulated_request_and_while_a_policy_moves_the_robot(
     make_gate: Callable[..., Gate],
     ask: Ask,
     expose: Callable[..., ExposedEndpoint],
@@ -159,11 +159,11 @@ def test_a_query_is_answered_in_a_dry_run_and_while_a_policy_moves_the_robot(
     bench = make_bench(make_gate(query))
     bench.policy = "The policy 'instant' moves 'arm'."
     state = expose(query)
-    request = ask(query, {}, dry_run=True)
+    request = ask(query, {}, simulated=True)
     verdict, call = bench.motion_gate.send_request(state, request, print)
     assert (verdict.allowed, call) == (True, "the call")
     assert bench.permitted == [], "it asks for no motion"
-    bench = make_bench(make_gate(dry_run=True))
+    bench = make_bench(make_gate(simulated=True))
     verdict, call = bench.motion_gate.send_request(state, ask(query, {}), print)
     assert (verdict.allowed, call) == (False, None), "it is not exposed"
     assert bench.traffic.calls == []

@@ -110,8 +110,8 @@ def test_a_goal_that_is_refused_waits_for_nobody(goals: Goals) -> None:
     assert (goals.sent, goals.slept_s) == ([], [])
 
 
-def test_a_dry_run_of_a_goal_sends_none(goals: Goals) -> None:
-    goals.request = replace(goals.request, dry_run=True)
+def test_a_simulated_request_of_a_goal_sends_none(goals: Goals) -> None:
+    goals.request = replace(goals.request, simulated=True)
     verdict, future = goals.send()
     assert (verdict.allowed, future) == (True, None)
     assert (goals.sent, goals.bench.permitted) == ([], [])

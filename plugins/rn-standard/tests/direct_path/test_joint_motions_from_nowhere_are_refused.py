@@ -53,7 +53,7 @@ def test_a_position_without_a_time_is_refused_while_no_joint_was_measured(
     assert path.asked == [request.joints]
     with pytest.raises(RefusedError, match="joints were not measured yet, so the arm's way"):
         gate.check(replace(request, joints=None))
-    verdict = gate.check(replace(request, joints=None, dry_run=True))
+    verdict = gate.check(replace(request, joints=None, simulated=True))
     assert (verdict.allowed, verdict.rule) == (False, "kinematics")
 
 

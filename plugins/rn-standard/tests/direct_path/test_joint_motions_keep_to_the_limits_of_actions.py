@@ -87,7 +87,7 @@ def move(latch: Any, audit: Any, clock: Any, ask: Any, endpoints: Any) -> Callab
 
     def make(
         *points: tuple[float, list[float]], start: JointSample | None = None, rates: bool = False,
-        dry_run: bool = False, **limits: Any,
+        simulated: bool = False, **limits: Any,
     ) -> Any:  # fmt: skip
         paths = limiter(**limits)
         entry = AllowedEndpoint(
@@ -100,7 +100,7 @@ def move(latch: Any, audit: Any, clock: Any, ask: Any, endpoints: Any) -> Callab
         ]
         value = {"joint_names": ["j1", "j2"], "points": made}
         return gate.check(
-            ask(endpoints["trajectory"], value, joints=start or at(0.0, 0.5), dry_run=dry_run)
+            ask(endpoints["trajectory"], value, joints=start or at(0.0, 0.5), simulated=simulated)
         )
 
     return make
@@ -129,7 +129,7 @@ def test_the_way_is_judged_not_only_the_target(
 ) -> None:
     with pytest.raises(RefusedError, match=text):
         move((SLOW_S, target), **limits)
-    verdict = move((SLOW_S, target), dry_run=True, **limits)
+    verdict = move((SLOW_S, target), simulated=True, **limits)
     assert (verdict.allowed, verdict.may_send, verdict.rule) == (False, False, rule)
 
 
@@ -208,7 +208,7 @@ def test_an_arm_without_kinematics_is_refused_not_unlimited(
         RefusedError, match=r"cannot be checked: There is no controller\. Install one\."
     ):
         gate.check(request)
-    assert gate.check(replace(request, dry_run=True)).rule == "kinematics"
+    assert gate.check(replace(request, simulated=True)).rule == "kinematics"
 
 
 def test_distances_that_nobody_tells_are_refused() -> None:

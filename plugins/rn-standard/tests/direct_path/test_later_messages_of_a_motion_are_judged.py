@@ -52,7 +52,7 @@ def test_a_later_message_does_not_count_against_the_rate_and_one_of_a_new_reques
 def test_a_later_message_that_a_dry_gate_refuses_is_recorded_as_refused(
     make_gate: Callable[..., Gate], ask: Ask, drive: ExposedEndpoint
 ) -> None:
-    gate = make_gate(dry_run=True)
+    gate = make_gate(simulated=True)
     with pytest.raises(RefusedError):
         gate.check_next(ask(drive.endpoint, {"linear": {"x": 9.0}}))
     (line,) = gate.audit.path.read_text().splitlines()

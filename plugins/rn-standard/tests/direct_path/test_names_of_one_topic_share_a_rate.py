@@ -126,12 +126,12 @@ def test_messages_at_once_are_sent_now_not_later(
     gate.check(ask(drive, FORWARD))
 
 
-def test_a_dry_run_counts_nothing_but_tells_of_the_rate(
+def test_a_simulated_request_counts_nothing_but_tells_of_the_rate(
     make: Any, ask: Ask, endpoints: Any
 ) -> None:
     drive = endpoints["velocity"]
     gate = make([entry(drive)])
-    question = ask(drive, FORWARD, dry_run=True)
+    question = ask(drive, FORWARD, simulated=True)
     for _ in range(9):
         assert gate.check(question).allowed
     use_up(gate, ask(drive, FORWARD))

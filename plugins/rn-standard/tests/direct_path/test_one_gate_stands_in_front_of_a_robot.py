@@ -170,7 +170,7 @@ def test_control_follows_from_an_action_until_it_holds_or_cannot_say(
 def test_nothing_passes_once_it_is_closed(application: Application) -> None:
     path, gate = direct_path(application.host), application.host.gate
     asked = GateRequest(
-        who="a", role="operator", tool="t", robot="gantry", endpoint="drive", dry_run=True
+        who="a", role="operator", tool="t", robot="gantry", endpoint="drive", simulated=True
     )
     assert gate.ask(drive(application), asked).rule == "type"  # it is exposed, and no message came
     path.close()

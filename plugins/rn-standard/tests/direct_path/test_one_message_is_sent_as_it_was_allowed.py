@@ -114,7 +114,7 @@ def test_a_message_carries_the_time_of_sending_when_it_is_to(
 def test_a_gate_that_only_answers_sends_nothing(
     make_gate: Callable[..., Gate], drive: ExposedEndpoint, ask: Ask, make_bench: Callable[..., Any]
 ) -> None:
-    bench = make_bench(make_gate(dry_run=True))
+    bench = make_bench(make_gate(simulated=True))
     bench.writer.listeners = 3
     sent = bench.motion_gate.publish(drive, ask(drive.endpoint, FORWARD), timeout_s=1.0)
     assert (sent.messages, sent.subscribers, sent.verdict.may_send) == (0, 3, False)
@@ -147,7 +147,7 @@ def test_what_has_to_be_waited_for_is_left_to_a_thread(
     if why == "no writer":
         bench.traffic.is_known = False
     elif why == "dry run":
-        request = replace(request, dry_run=True)
+        request = replace(request, simulated=True)
     elif why == "joints":
         place, request = move, ask(move.endpoint, {"name": ["j1"], "position": [0.1]})
     elif why == "still":

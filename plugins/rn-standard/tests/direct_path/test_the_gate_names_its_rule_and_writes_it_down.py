@@ -95,8 +95,8 @@ def test_the_rule_that_does_not_hold_is_told_and_written_down(
     rule: str, make_gate: Make, ask: Ask, endpoints: dict[str, Endpoint]
 ) -> None:
     gate, request = breaking(rule, make_gate, ask, endpoints)
-    verdict = gate.check(replace(request, dry_run=True))
-    assert (verdict.allowed, verdict.dry_run, verdict.rule) == (False, True, rule)
+    verdict = gate.check(replace(request, simulated=True))
+    assert (verdict.allowed, verdict.simulated, verdict.rule) == (False, True, rule)
     with pytest.raises(RefusedError) as caught:
         gate.check(request)
     asked, refused = records(gate)[-2:]
@@ -112,7 +112,7 @@ def test_a_refusal_by_a_prediction_is_one_of_the_path(
     def predict() -> None:
         raise RefusedError("It would stop short.")
 
-    request = ask(endpoints["velocity"], FORWARD, predict=predict, dry_run=True)
+    request = ask(endpoints["velocity"], FORWARD, predict=predict, simulated=True)
     assert make_gate().check(request).rule == "path"
 
 
@@ -123,7 +123,7 @@ def test_only_a_gate_that_never_sends_asks_for_the_prediction_of_a_later_message
     request = ask(endpoints["velocity"], FORWARD, predict=lambda: asked.append("predicted"))
     make_gate().check_next(request)
     assert asked == []
-    make_gate(dry_run=True).check_next(request)
+    make_gate(simulated=True).check_next(request)
     assert asked == ["predicted"]
 
 
@@ -132,7 +132,7 @@ def test_what_is_allowed_is_written_down_without_a_rule(
 ) -> None:
     gate = make_gate()
     verdict = gate.check(ask(endpoints["velocity"], FORWARD))
-    assert (verdict.allowed, verdict.dry_run, verdict.rule) == (True, False, "")
+    assert (verdict.allowed, verdict.simulated, verdict.rule) == (True, False, "")
     (record,) = records(gate)
     assert (record["tool"], record["robot"]) == ("publish_velocity", "arm")
     assert not {"rule", "reason"} & record.keys()
@@ -155,7 +155,7 @@ def test_long_words_of_a_client_are_cut_in_the_record(
     gate = make_gate()
     long = "x" * 1000
     words = dict.fromkeys(("who", "role", "tool", "robot", "endpoint"), long)
-    verdict = gate.check(ask(endpoints["velocity"], FORWARD, dry_run=True, **words))
+    verdict = gate.check(ask(endpoints["velocity"], FORWARD, simulated=True, **words))
     (record,) = records(gate)
     assert {name: len(record[name]) for name in words} == {
         "who": 200,
@@ -171,7 +171,7 @@ def test_a_long_reason_is_cut_in_the_record_alone(
     make_gate: Make, ask: Ask, endpoints: dict[str, Endpoint]
 ) -> None:
     gate = make_gate(path=lambda: Judge(RefusedError("x" * 1000 + ".")))
-    verdict = gate.check(ask(endpoints["joints"], STEP, dry_run=True))
+    verdict = gate.check(ask(endpoints["joints"], STEP, simulated=True))
     assert len(verdict.reason) == 1001
     (record,) = records(gate)
     assert record["reason"] == "x" * 500
@@ -207,8 +207,8 @@ def test_a_full_disk_changes_no_answer_that_sends_nothing(
     unknown = ask(endpoints["velocity"], FORWARD, endpoint="unknown")
     with pytest.raises(RefusedError, match="'unknown' of 'arm' is not exposed"):
         gate.check(unknown)
-    assert gate.check(replace(unknown, dry_run=True)).rule == "allow_list"
-    assert gate.check(ask(endpoints["velocity"], FORWARD, dry_run=True)).allowed
+    assert gate.check(replace(unknown, simulated=True)).rule == "allow_list"
+    assert gate.check(ask(endpoints["velocity"], FORWARD, simulated=True)).allowed
     with pytest.raises(RefusedError, match="cannot be written"):
         gate.check(ask(endpoints["velocity"], FORWARD))
 
@@ -234,7 +234,7 @@ def test_up_to_twenty_names_are_told_instead_of_one_that_is_not_exposed(
 
     names = ", ".join(f"e{i:02}" for i in range(20))
     for count, end in ((20, "."), (21, " ....")):
-        verdict = gate_of(count).check(ask(endpoints["velocity"], FORWARD, dry_run=True))
+        verdict = gate_of(count).check(ask(endpoints["velocity"], FORWARD, simulated=True))
         assert verdict.reason == (f"'velocity' of 'arm' is not exposed; exposed are: {names}{end}")
 
 
@@ -245,7 +245,7 @@ def test_the_robots_are_told_instead_of_one_that_there_is_not(
         AllowedEndpoint(robot=robot, endpoint=endpoints["velocity"]) for robot in ("left", "base")
     ]
     gate = Gate(entries, latch=latch, audit=audit, clock=clock.monotonic)
-    request = ask(endpoints["velocity"], FORWARD, dry_run=True)
+    request = ask(endpoints["velocity"], FORWARD, simulated=True)
     assert gate.check(request).reason == (
         "No endpoint of a robot called 'arm' is exposed; robots: base, left."
     )
@@ -275,7 +275,7 @@ def test_durations_count_only_when_there_is_one_for_each_command(
     assert gate.check(replace(step, durations_s=(0.1, 0.1))).may_send
 
 
-def test_a_gate_that_is_told_of_no_dry_run_sends(
+def test_a_gate_that_is_told_of_no_simulated_request_sends(
     latch: EmergencyStopLatch, audit: AuditLog, clock: Any, ask: Ask, endpoints: Any
 ) -> None:
     entry = AllowedEndpoint(robot="arm", endpoint=endpoints["velocity"])

@@ -178,16 +178,16 @@ def test_a_latched_stop_refuses_all_motion_but_no_reading(make_gate, ask, endpoi
     assert gate.check(ask(endpoints["velocity"], FORWARD)).may_send
 
 
-def test_a_dry_run_answers_and_sends_nothing(make_gate, ask, endpoints, audit) -> None:
+def test_a_simulated_request_answers_and_sends_nothing(make_gate, ask, endpoints, audit) -> None:
     gate = make_gate()
     for _ in range(9):
-        verdict = gate.check(ask(endpoints["velocity"], FORWARD, dry_run=True))
+        verdict = gate.check(ask(endpoints["velocity"], FORWARD, simulated=True))
         assert (verdict.allowed, verdict.may_send) == (True, False)
-    verdict = gate.check(ask(endpoints["velocity"], {"linear": {"x": 3}}, dry_run=True))
+    verdict = gate.check(ask(endpoints["velocity"], {"linear": {"x": 3}}, simulated=True))
     assert (verdict.allowed, verdict.rule) == (False, "bounds")
     assert "linear.x is 3" in verdict.reason
     assert [line["verdict"] for line in lines(audit)] == ["would_allow"] * 9 + ["would_refuse"]
-    assert not make_gate(dry_run=True).check(ask(endpoints["velocity"], FORWARD)).may_send
+    assert not make_gate(simulated=True).check(ask(endpoints["velocity"], FORWARD)).may_send
 
 
 @pytest.mark.parametrize(

@@ -68,16 +68,21 @@ def test_a_call_of_no_robot_is_seen_by_none(
     assert seen == []
 
 
-def test_a_preview_is_handed_to_the_simulator_of_the_robot_it_names(
+def test_a_simulated_call_is_handed_to_the_twin_of_the_robot_it_names(
     fleet: Fleet, call: Call, seen: list[Any]
 ) -> None:
-    simulator = Simulator(tool="get_status", can=lambda tool: tool.name == "stop_robot")
+    simulator = Simulator(tool="get_status", is_there=lambda: True)
     fleet.robots["left"].tools.chain.simulate_with(simulator)
+    for robot in fleet.robots.values():
+        stop = robot.tools.get("stop_robot")
+        assert stop is not None
+        simulated = replace(stop, name="rehearse_stop", simulated_by=frozenset({"twin"}))
+        robot.tools.add_all([simulated])
     for name in ("left", "right-arm"):
-        call(fleet, "stop_robot", {"robot": name, "preview": True})
+        call(fleet, "rehearse_stop", {"robot": name, "simulate": True})
     assert seen == [
-        ("left", "get_status", {"tool": "stop_robot", "arguments": {}}, True),
-        ("right-arm", "stop_robot", {"preview": True}, True),
+        ("left", "get_status", {"tool": "rehearse_stop", "arguments": {}}, True),
+        ("right-arm", "rehearse_stop", {}, True),
     ]
 
 

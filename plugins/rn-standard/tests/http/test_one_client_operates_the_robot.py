@@ -34,7 +34,7 @@ class Operated:
         )
 
     def call(self, tool: Any, who: str) -> None:
-        self.lease.admit(tool, SimpleNamespace(who=who, role="operator"))  # type: ignore[arg-type]
+        self.lease.admit(tool, SimpleNamespace(who=who, role="operator", simulated=False))  # type: ignore[arg-type]
 
 
 def test_only_one_client_acts_and_everybody_reads_and_stops(tmp_path: Path) -> None:

@@ -192,7 +192,7 @@ def test_a_role_below_operator_is_refused_before_anything_happens(
     served: Served, role: str
 ) -> None:
     served.fault.write_text("reflex")
-    context: Any = SimpleNamespace(who=role, role=role)
+    context: Any = SimpleNamespace(who=role, role=role, simulated=False)
     answer = anyio.run(served.application.tools.call, "recover_robot", {}, context)
     assert "needs the role 'operator'" in text(answer)
     assert served.fault.read_text() == "reflex"

@@ -137,8 +137,8 @@ def test_what_does_not_come_about_is_an_error(arm: Arm) -> None:
     for name in ("shelf", "home"):
         with pytest.raises(RefusedError, match="outside of the workspace"):
             arm.move_to(name)
-    arm.answer = {"allowed": True, "dry_run": True}
-    with pytest.raises(RefusedError, match="dry run"):
+    arm.answer = {"allowed": True, "simulated": True}
+    with pytest.raises(RefusedError, match="only simulated"):
         arm.move_to("home")
     del arm.tools["move_joints"]
     with pytest.raises(NotReadyError, match="no tool move_joints"):

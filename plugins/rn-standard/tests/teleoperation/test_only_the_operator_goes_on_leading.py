@@ -98,7 +98,7 @@ def made_lead(
 
 
 def test_a_lead_ends_when_another_client_takes_over(lease: OperatorLease) -> None:
-    context: Any = SimpleNamespace(who="first", role="operator")
+    context: Any = SimpleNamespace(who="first", role="operator", simulated=False)
     tool = lead_tools(None, None, dict)[0]  # type: ignore[arg-type]
     lease.admit(tool, context)
     gate, source, ended, halt = Gate(), Source(), threading.Event(), threading.Event()
@@ -120,6 +120,8 @@ def test_a_lead_ends_when_another_client_takes_over(lease: OperatorLease) -> Non
 
 class CancelledContext:
     """A call that is cancelled just after its work is done."""
+
+    simulated = False
 
     who, role = "first", "operator"
 

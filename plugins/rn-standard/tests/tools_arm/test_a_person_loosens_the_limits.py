@@ -49,7 +49,7 @@ def call(
         assert "0.1" in question, "the person is told what would be loosened"
         return agrees
 
-    context: Any = SimpleNamespace(run=run, ask=ask, who="agent-1", role="admin")
+    context: Any = SimpleNamespace(run=run, ask=ask, who="agent-1", role="admin", simulated=False)
     return dict(anyio.run(found.call, arguments, context).structured)
 
 

@@ -27,6 +27,7 @@ from roboneuron.errors import InvalidInputError, NotReadyError, RefusedError, St
 from roboneuron.feature import GateRequest, Sent, TimedCommand, Verdict
 from roboneuron.gate.motion.joint_space import JointLimit
 from roboneuron.modules.report import Report
+from roboneuron.server.call_chain import SimulatedContext
 
 PROFILE = RobotProfile(
     name="arm",
@@ -147,7 +148,7 @@ class Arm:
         )
 
 
-CONTEXT: Any = SimpleNamespace(who="agent", role="operator")
+CONTEXT: Any = SimpleNamespace(who="agent", role="operator", simulated=False)
 LIMIT = JointLimit(lower=-1.0, upper=1.0, velocity=1.0, acceleration=1.0)
 
 
@@ -175,8 +176,8 @@ def mover(arm: Arm) -> EndEffectorMover:
     return EndEffectorMover(exposed(), PROFILE, arm.host, ArmToolsOptions(), {"": tcp})
 
 
-def move(arm: Arm, **arguments: Any) -> Any:
-    return anyio.run(mover(arm), MoveEndEffector(**arguments), CONTEXT)
+def move(arm: Arm, context: Any = CONTEXT, **arguments: Any) -> Any:
+    return anyio.run(mover(arm), MoveEndEffector(**arguments), context)
 
 
 def place(arm: Arm, grip_height: GripHeight, **arguments: Any) -> Any:
@@ -369,13 +370,13 @@ class TestArmWithoutGripper:
         assert moved.position["j1"] == pytest.approx(0.2)
         assert moved.holding is None
 
-    @pytest.mark.parametrize("dry_run", [False, True])
+    @pytest.mark.parametrize("context", [CONTEXT, SimulatedContext(CONTEXT)])
     @pytest.mark.parametrize("more", [{}, {"dz_m": 0.02}])
     def test_a_move_that_names_the_gripper_is_refused(
-        self, arm: Arm, more: dict[str, float], dry_run: bool
+        self, arm: Arm, more: dict[str, float], context: Any
     ) -> None:
         with pytest.raises(RefusedError) as refusal:
-            move(arm, gripper_open=0.0, dry_run=dry_run, **more)
+            move(arm, context, gripper_open=0.0, **more)
         assert refusal.value.rule == "no_gripper"
         assert arm.grips == []
 
@@ -386,11 +387,11 @@ class TestArmWithoutGripper:
         assert arm.grips == []
 
 
-@pytest.mark.parametrize("dry_run", [False, True])
-def test_the_joint_of_a_gripper_that_is_not_driven_cannot_be_moved(arm: Arm, dry_run: bool) -> None:
+@pytest.mark.parametrize("context", [CONTEXT, SimulatedContext(CONTEXT)])
+def test_the_joint_of_a_gripper_that_is_not_driven_cannot_be_moved(arm: Arm, context: Any) -> None:
     arm.has_hand = False
     gate: Any = arm
     mover = JointMover(exposed(), {"j1": LIMIT, "finger": LIMIT}, gate, arm.host)
     with pytest.raises(RefusedError) as refusal:
-        anyio.run(mover, MoveJoints(positions={"finger": 0.0, "j1": 0.1}, dry_run=dry_run), CONTEXT)
+        anyio.run(mover, MoveJoints(positions={"finger": 0.0, "j1": 0.1}), context)
     assert refusal.value.rule == "no_gripper"

@@ -179,7 +179,7 @@ class Pair:
         return SimpleNamespace(wait=lambda timeout_s: self.places[side])
 
 
-CONTEXT: Any = SimpleNamespace(who="agent", role="operator")
+CONTEXT: Any = SimpleNamespace(who="agent", role="operator", simulated=False)
 
 
 @pytest.fixture
@@ -324,7 +324,7 @@ class Gantries:
         return JointCommand(names=JOINTS, position=position, duration_s=step_s)
 
 
-def test_a_dry_run_follows_the_rows_of_both_arms() -> None:
+def test_a_simulated_move_follows_the_rows_of_both_arms() -> None:
     gantries: Any = Gantries()
     limiter = MotionLimiter(
         motion_rules(LimitsConfig(), PAIR),

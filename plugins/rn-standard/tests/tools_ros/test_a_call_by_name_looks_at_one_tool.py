@@ -11,7 +11,7 @@ import pytest
 from rn_standard.tools_ros.directory import CallEndpoint, directory_tools
 from roboneuron import Arguments, CallContext, InvalidInputError, Result, Tool
 
-CONTEXT = cast("CallContext", SimpleNamespace(who="test", role="admin"))
+CONTEXT = cast("CallContext", SimpleNamespace(who="test", role="admin", simulated=False))
 
 
 class Named(Result):

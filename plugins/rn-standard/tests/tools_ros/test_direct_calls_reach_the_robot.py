@@ -122,20 +122,20 @@ def test_a_subscription_that_asks_for_more_is_served_from_then_on(ask: Ask, rove
     ask(scenario)
 
 
-def test_a_dry_run_answers_and_sends_nothing(ask: Ask, rover: Any) -> None:
+def test_a_simulated_call_answers_and_sends_nothing(ask: Ask, rover: Any) -> None:
     async def scenario(agent: Any) -> None:
         allowed = await agent.do(
-            "publish_velocity", robot="rover", message={"linear": {"x": 0.2}}, dry_run=True
+            "publish_velocity", robot="rover", message={"linear": {"x": 0.2}}, simulate=True
         )
-        assert (allowed["dry_run"], allowed["allowed"], allowed["sent"]) == (True, True, 0)
+        assert (allowed["simulated"], allowed["allowed"], allowed["sent"]) == (True, True, 0)
         refused = await agent.do(
-            "publish_velocity", robot="rover", message={"linear": {"x": 9}}, dry_run=True
+            "publish_velocity", robot="rover", message={"linear": {"x": 9}}, simulate=True
         )
         assert (refused["allowed"], refused["rule"]) == (False, "bounds")
-        light = await agent.do("call_light", request={"data": True}, dry_run=True)
+        light = await agent.do("call_light", request={"data": True}, simulate=True)
         assert light["allowed"]
         assert "response" not in light
-        goal = await agent.do("send_count_goal", goal={"order": 3}, dry_run=True)
+        goal = await agent.do("send_count_goal", goal={"order": 3}, simulate=True)
         assert (goal["status"], goal["allowed"]) == ("", True)
         assert not rover.received
         assert not rover.goals

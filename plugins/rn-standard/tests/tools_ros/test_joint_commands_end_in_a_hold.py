@@ -142,7 +142,7 @@ def test_each_step_of_a_sequence_begins_where_the_one_before_ends(ask_arm: Any, 
         far = [{"message": to(0.5, 1)}, {"message": to(-0.6, 1)}]  # 0.4 and 1.1 in 1 s
         assert "steps[1]: slide_x would move at 1.1 per second" in await agent.fail(name, steps=far)
         again = [{"message": to(0.85, 1.2)}]  # from 0.1 within the limits, from 0.85 as well
-        assert (await agent.do(name, steps=again, times=2, dry_run=True))["allowed"]
+        assert (await agent.do(name, steps=again, times=2, simulate=True))["allowed"]
         short = [{"message": to(0.2, 1), "duration_s": 0.5}]
         assert "takes 1 s, its step only 0.5 s" in await agent.fail(name, steps=short)
         assert not arm.on(TRAJECTORIES)

@@ -92,8 +92,8 @@ def test_no_tool_drives_the_tcp_through_a_zone(run_arm: Callable[..., None], arm
         for tool, arguments in CALLS:
             code, text = await agent.fail(tool, **arguments)
             assert (code, "would enter 'person'" in text) == ("refused", True), (tool, text)
-            dry = await agent.do(tool, **arguments, dry_run=True)
-            assert (dry["dry_run"], dry["allowed"]) == (True, False)
+            dry = await agent.do(tool, **arguments, simulate=True)
+            assert (dry["simulated"], dry["allowed"]) == (True, False)
             assert "would enter 'person'" in dry["reason"]
         assert sent(arm) == []
 
@@ -111,7 +111,7 @@ def test_height_workspace_and_speed_hold_for_joint_commands(
         ):
             _, text = await agent.fail("publish_joint_trajectory", message=to(duration_s, **target))
             assert words in text
-        easy = await agent.do("move_joints", positions={"slide_y": 0.6}, dry_run=True)
+        easy = await agent.do("move_joints", positions={"slide_y": 0.6}, simulate=True)
         assert easy["allowed"]
         assert 1.2 <= easy["duration_s"] < 4.0
         assert sent(arm) == []
@@ -139,7 +139,7 @@ def test_a_sequence_counts_as_the_messages_that_it_sends(
         step = {"message": {"name": ["slide_x"], "position": [0.1]}, "duration_s": 0.002}
         _, text = await agent.fail(name, steps=[step], times=500)
         assert "faster than its 50 per second" in text
-        assert not (await agent.do(name, steps=[step], times=500, dry_run=True))["allowed"]
+        assert not (await agent.do(name, steps=[step], times=500, simulate=True))["allowed"]
         assert sent(arm) == []
         assert (await agent.do(name, steps=[step | {"duration_s": 0.02}], times=40))["sent"] == 40
 

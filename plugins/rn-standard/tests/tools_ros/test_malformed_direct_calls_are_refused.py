@@ -54,7 +54,7 @@ KEYS = st.sampled_from(
         "message",
         "duration_s",
         "timeout_s",
-        "dry_run",
+        "simulate",
         "steps",
         "times",
         "request",
@@ -79,6 +79,8 @@ ARGUMENTS = st.dictionaries(KEYS | st.text(max_size=12), VALUES, max_size=5)
 
 class Context:
     """Runs work on the calling thread."""
+
+    simulated = False
 
     who, role = "fuzz", "admin"
 
@@ -181,7 +183,7 @@ BAD: list[tuple[str, dict[str, Any]]] = [
     ("publish_velocity", {**DRIVE, "message": {}, "duration_s": 0}),
     ("publish_velocity", {**DRIVE, "message": {}, "duration_s": 1e9}),
     ("publish_velocity", {**DRIVE, "message": {}, "timeout_s": -1}),
-    ("publish_velocity", {**DRIVE, "message": {}, "dry_run": "yes"}),
+    ("publish_velocity", {**DRIVE, "message": {}, "simulate": "yes"}),
     ("publish_velocity", {"robot": "../rover", "message": {}}),
     ("publish_velocity", {"robot": ["rover"], "message": {}}),
     ("publish_velocity", {"message": {}}),

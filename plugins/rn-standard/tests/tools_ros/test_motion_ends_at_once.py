@@ -137,7 +137,7 @@ def test_one_call_at_a_time_moves_a_robot(ask: Ask, rover: Any) -> None:
             await moving(rover)
             code, text = await agent.fail("publish_velocity", **FORWARD)
             assert (code, "publish_velocity moves 'rover' now" in text) == ("refused", True)
-            dry = await agent.do("publish_velocity", **FORWARD, dry_run=True)
+            dry = await agent.do("publish_velocity", **FORWARD, simulate=True)
             assert (dry["allowed"], dry["rule"]) == (False, "ownership")
             await agent.do("publish_speech", message={"data": "still free"})
             await agent.do("publish_velocity", robot="second", message={}, duration_s=0.1)

@@ -38,8 +38,8 @@ class AuditRecord:
         who, role: the client.
         tool, robot, endpoint: the called tool, its robot and its endpoint.
         arguments: as sent by the client, truncated.
-        verdict: "allowed", "refused", "would_allow" or "would_refuse" (dry run); "scaled" or "held"
-            (control); "latched" or "restored" (emergency stop); "cut" (the previous line is
+        verdict: "allowed", "refused", "would_allow" or "would_refuse" (simulated); "scaled" or
+            "held" (control); "latched" or "restored" (emergency stop); "cut" (the previous line is
             incomplete).
         rule, reason: the limit or rule that applied, and a sentence with the numbers.
         clamped: values that were changed, as "path: asked -> sent".

@@ -9,8 +9,9 @@ import uuid
 from collections import Counter
 from collections.abc import Awaitable, Callable, Iterable
 from contextlib import suppress
+from dataclasses import replace
 from functools import partial
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, Protocol, TypeVar
 
 from mcp import types
 
@@ -18,6 +19,7 @@ from roboneuron.errors import (
     InternalError,
     InvalidInputError,
     NotReadyError,
+    RefusedError,
     RoboNeuronError,
     UnsafeError,
     nearest,
@@ -31,12 +33,17 @@ from roboneuron.server.interception import (
     Proceed,
     Simulator,
 )
+from roboneuron.server.schema import Shape
 from roboneuron.server.tool import Answer, CallContext, Tool
+from roboneuron.supervisor.changes import Stage
 
 log = logging.getLogger(__name__)
+T = TypeVar("T")
 EMERGENCY_TOOL = "emergency_stop"
-PREVIEW = "preview"
+SIMULATE = "simulate"
 """Argument of a call that is simulated instead of carried out."""
+_OLD_NAMES = ("dry_run", "preview")
+"""Former names of it, accepted in 0.1."""
 MOST_TEXT = 2000
 """Maximum length of an error's text [characters]."""
 _MOST_ANSWER = 100_000
@@ -196,21 +203,38 @@ class CallChain:
         self._rest = [parts[first:] for first in range(len(parts) + 1)]
 
     def _simulate(self, call: IncomingCall) -> IncomingCall:
-        """Hand on a call that asks for a preview as a call of the simulator's tool, which only
-        reads: neither role, operator nor lease are asked for it.
+        """Hand on a call with simulate=true as one that only reads, so that neither role, operator
+        nor lease are asked for it: of the twin's tool, or of its own tool with a context by which
+        the gate sends nothing. Any other tool refuses it.
         """
-        simulator = self._simulator
-        if simulator is None or call.found is None or call.arguments.get(PREVIEW) is not True:
+        tool = call.found
+        if tool is None or tool.name == EMERGENCY_TOOL:  # a stop is never only simulated
             return call
-        if not simulator.can(call.found):
+        asked = {name: call.arguments[name] for name in _names(tool) if name in call.arguments}
+        if not asked:
             return call
-        own = {key: value for key, value in call.arguments.items() if key != PREVIEW}
-        return IncomingCall(
-            name=simulator.tool,
-            found=self._find(simulator.tool),
-            arguments={"tool": call.name, "arguments": own},
-            context=call.context,
-        )
+        own = {key: value for key, value in call.arguments.items() if key not in asked}
+        call = replace(call, arguments=own, deprecated=_deprecated(asked))
+        for name, value in asked.items():
+            if not isinstance(value, bool):
+                error = InvalidInputError(f"{name!r} has to be true or false.", path=name)
+                return replace(call, refused=error)
+        if not any(asked.values()):
+            return call
+        call = replace(call, context=SimulatedContext(call.context))
+        twin = self._simulator
+        if twin is not None and "twin" in tool.simulated_by and twin.is_there():
+            return replace(
+                call,
+                name=twin.tool,
+                found=self._find(twin.tool),
+                arguments={"tool": call.name, "arguments": own},
+            )
+        try:
+            tool.check_simulation(call.context)
+        except RefusedError as error:
+            return replace(call, refused=error)
+        return replace(call, found=tool.simulation())
 
     async def _record(self, call: IncomingCall, proceed: Proceed) -> Answer:
         """Report the call; give every failure a code, and the log its traceback."""
@@ -247,6 +271,8 @@ class CallChain:
                 hint=nearest(call.name, self._names(), _LISTED),
                 path="tool",
             )
+        if call.refused is not None:
+            raise call.refused
         call.found.check_caller(call.context)
         return call
 
@@ -272,13 +298,7 @@ class CallChain:
 
     def _parse(self, call: IncomingCall) -> IncomingCall:
         assert call.found is not None
-        return IncomingCall(
-            name=call.name,
-            arguments=call.arguments,
-            context=call.context,
-            found=call.found,
-            parsed=call.found.parsed(call.arguments),
-        )
+        return replace(call, parsed=call.found.parsed(call.arguments))
 
     async def _handle(self, call: IncomingCall) -> Answer:
         """Call the handler and complete its answer. Raises InvalidInputError: it is too long."""
@@ -288,6 +308,8 @@ class CallChain:
         structured = dict(answer.structured)
         if tool.open_world and not tool.read_only and self._acts_on is not None:
             structured["acts_on"] = self._acts_on()
+        if call.deprecated:
+            structured["deprecated"] = call.deprecated
         text = json.dumps(structured)
         if tool.read_only and len(text) > _MOST_ANSWER:
             raise InvalidInputError(
@@ -295,6 +317,44 @@ class CallChain:
                 hint="Ask for less: its arguments narrow what it answers.",
             )
         return Answer(structured=structured, pictures=answer.pictures, text=text)
+
+
+class SimulatedContext:
+    """CallContext of a call that only asks what would happen."""
+
+    simulated = True
+
+    def __init__(self, context: CallContext) -> None:
+        self._context = context
+        self.who, self.role = context.who, context.role
+
+    async def run(
+        self,
+        work: Callable[[Stage], T],
+        *,
+        on_cancel: Callable[[], object] = lambda: None,
+        on_leave: Callable[[], object] | None = None,
+    ) -> T:
+        """See `CallContext.run`."""
+        return await self._context.run(work, on_cancel=on_cancel, on_leave=on_leave)
+
+    async def ask(self, question: str, what: str = "") -> str | None:
+        """See `CallContext.ask`: nobody is asked, since nothing is done."""
+        return None
+
+
+def _names(tool: Tool[Any]) -> tuple[str, ...]:
+    """Names by which a call of the tool may ask for a simulation: not those of its own
+    arguments.
+    """
+    kind = tool.arguments
+    fields = (kind.model if isinstance(kind, Shape) else kind).model_fields
+    return (SIMULATE, *(name for name in _OLD_NAMES if name not in fields))
+
+
+def _deprecated(asked: Iterable[str]) -> str:
+    old = [name for name in asked if name != SIMULATE]
+    return f"{' and '.join(old)} is called {SIMULATE} now; 0.2 will refuse it." if old else ""
 
 
 def incident(name: str) -> InternalError:

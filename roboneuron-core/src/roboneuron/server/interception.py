@@ -20,7 +20,7 @@ class CallPhase(IntEnum):
     emergency stop.
 
     Attributes:
-        SIMULATION: a call that only asks what would happen becomes a call of a tool that reads.
+        SIMULATION: a call that only asks what would happen becomes a call that only reads.
         RECORD: the call is reported when it begins and when it has ended, whatever its outcome.
         IDENTITY: the tool exists, and the client's role may call it.
         STOP: an emergency stop takes effect, before anything that may wait or refuse.
@@ -56,6 +56,8 @@ class IncomingCall:
         context: services for the call; its client.
         found: the tool of that name; None if there is none, which IDENTITY refuses.
         parsed: the checked arguments, an instance of the tool's model; None before ARGUMENTS.
+        refused: why IDENTITY refuses it, found earlier; None for most calls.
+        deprecated: sentence for the answer about an argument that has another name now.
     """
 
     name: str
@@ -63,6 +65,8 @@ class IncomingCall:
     context: CallContext
     found: Tool[Any] | None
     parsed: Any = None
+    refused: RoboNeuronError | None = None
+    deprecated: str = ""
 
     @property
     def tool(self) -> Tool[Any]:
@@ -80,16 +84,16 @@ Proceed: TypeAlias = "Callable[[IncomingCall], Awaitable[Answer]]"
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Simulator:
-    """How calls are simulated instead of carried out; declared by `Feature.simulator`.
+    """The twin that carries out simulated calls; declared by `Feature.simulator`.
 
     Attributes:
         tool: name of a read-only tool that is called instead, with the arguments `tool` and
             `arguments` of the call.
-        can: returns True for the tools whose calls it simulates.
+        is_there: returns True if there is a twin of the present robot.
     """
 
     tool: str
-    can: Callable[[Tool[Any]], bool]
+    is_there: Callable[[], bool]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -72,9 +72,9 @@ class GateRequest:
         durations_s: duration of each message [s], if known; joints must reach their targets within
             it.
         send_at_s: time of each message, in seconds from now; empty to send `messages` at once.
-        predict: computes a motion that `messages` do not hold, for a dry run; raises RefusedError
-            if it would not be completed.
-        dry_run: only return what would happen.
+        predict: computes a motion that `messages` do not hold, for a simulated one; raises
+            RefusedError if it would not be completed.
+        simulated: only return what would happen.
         repeated: a repetition that belongs to an earlier request; does not count against the rate.
     """
 
@@ -89,7 +89,7 @@ class GateRequest:
     durations_s: tuple[float, ...] = ()
     send_at_s: tuple[float, ...] = ()
     predict: Callable[[], None] | None = None
-    dry_run: bool = False
+    simulated: bool = False
     repeated: bool = False
 
 
@@ -108,7 +108,7 @@ class Verdict:
 
     Attributes:
         allowed: no rule refuses it.
-        dry_run: nothing may be sent even if allowed.
+        simulated: nothing may be sent even if allowed.
         reason: reason of the refusal; empty when allowed.
         rule: the rule that refused ("allow_list", "role", "type", "finite", "bounds", "steering",
             "joints", the name of a limit of `[limits]`, "path", "rate", "emergency_stop", "audit");
@@ -117,7 +117,7 @@ class Verdict:
     """
 
     allowed: bool
-    dry_run: bool = False
+    simulated: bool = False
     reason: str = ""
     rule: str = ""
     clamped: tuple[Clamp, ...] = ()
@@ -125,7 +125,7 @@ class Verdict:
     @property
     def may_send(self) -> bool:
         """True if the messages have to be sent now."""
-        return self.allowed and not self.dry_run
+        return self.allowed and not self.simulated
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -225,12 +225,12 @@ class MotionGate(Protocol):
         """Decide on a request that sends nothing, such as reading, and record the decision.
 
         Raises:
-            RefusedError: refused. A dry run gets an answer instead.
+            RefusedError: refused. A simulated request gets an answer instead.
         """
 
     def ask(self, exposed: ExposedEndpoint, request: GateRequest) -> Verdict:
         """Check whether a request could be carried out now; otherwise name the rule. `request` is a
-        dry run.
+        simulated request.
         """
 
     def slowdown(self, request: GateRequest) -> float:

@@ -217,7 +217,7 @@ _EVERYWHERE = (
     "A call that returns without an error has done what it says; an error says why and what to do. "
     "A start that fails leaves nothing running. stop_* tools return when the process is gone, and "
     "end a start in progress. list_* tools tell what may be named. What is omitted is as "
-    "configured. A dry run sends nothing."
+    "configured. A simulated call sends nothing."
 )
 
 
@@ -229,6 +229,8 @@ ones.
 
 class RequestContext:
     """CallContext of one request: work on threads, progress for the client."""
+
+    simulated = False
 
     def __init__(
         self,

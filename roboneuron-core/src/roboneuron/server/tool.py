@@ -6,8 +6,8 @@ from __future__ import annotations
 
 from collections.abc import Awaitable, Callable, Mapping
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, TypeAlias
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, Protocol, TypeAlias
 
 from pydantic import BaseModel, ConfigDict
 from pydantic.json_schema import JsonSchemaValue
@@ -24,6 +24,13 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 A = TypeVar("A", bound="Arguments", default=Any)
+_SIMULATE: JsonSchemaValue = {
+    "simulate": {
+        "type": "boolean",
+        "default": False,
+        "description": "Only say what would happen.",
+    }
+}
 
 
 class Arguments(BaseModel):
@@ -144,6 +151,10 @@ class CallContext(Protocol):
     """Services for a tool during a call."""
 
     @property
+    def simulated(self) -> bool:
+        """The call only asks what would happen; the gate sends nothing of it."""
+
+    @property
     def who(self) -> str:
         """Name of the client, for the audit."""
 
@@ -196,6 +207,9 @@ class Tool(Generic[A]):
         choices: argument name -> function that returns {choice: summary}, called for each listing.
         role: required role; if empty, viewers may call read-only tools and operators all others.
         always: it stops something, and is exempt from the limit of concurrent calls.
+        simulated_by: what answers a call with simulate=true: "twin" is the server's `Simulator`,
+            "limits" the handler itself, whose requests to the gate are then judged and not sent.
+            With both, the twin does so if there is one. Empty: such a call is refused.
     """
 
     name: str
@@ -214,6 +228,7 @@ class Tool(Generic[A]):
     choices: dict[str, Callable[[], dict[str, str]]] = field(default_factory=dict)
     role: str = ""
     always: bool = False
+    simulated_by: frozenset[Literal["twin", "limits"]] = frozenset()
 
     @property
     def least_role(self) -> Role:
@@ -233,6 +248,8 @@ class Tool(Generic[A]):
     def input_schema(self) -> JsonSchemaValue:
         """The JSON schema of the arguments, with current choices."""
         schema = model_schema(self.arguments)
+        if self.simulated_by:
+            schema = {**schema, "properties": {**schema.get("properties", {}), **_SIMULATE}}
         return with_choices(schema, self._choices()) if self.choices else schema
 
     def output_schema(self) -> JsonSchemaValue:
@@ -249,8 +266,30 @@ class Tool(Generic[A]):
         """
         return await self.answer(self.parsed(arguments), context)
 
+    def simulation(self) -> Tool[A]:
+        """The tool as one that only reads, for calls that its handler answers by the limits."""
+        return replace(self, read_only=True, destructive=False)
+
+    def check_simulation(self, context: CallContext) -> None:
+        """Raise RefusedError for a simulated call, unless the handler may answer it: it could
+        otherwise move something.
+        """
+        if not context.simulated or "limits" in self.simulated_by:
+            return
+        if self.read_only:
+            hint = "It changes nothing: call it without simulate."
+        elif "twin" in self.simulated_by:
+            hint = "That takes a simulated driver of the robot, and the feature 'simulate'."
+        else:
+            hint = "roboneuron tools lists `simulate` for those that can be."
+        raise RefusedError(
+            f"{self.name} cannot be simulated here; nothing was done.", hint=hint, rule="simulate"
+        )
+
     async def answer(self, parsed: A, context: CallContext) -> Answer:
         """Call the handler with checked arguments. Raises its errors."""
+        if not self.read_only and context.simulated:  # called by another tool in a simulated call
+            self.check_simulation(context)
         outcome = await self.handler(parsed, context)
         reply = outcome if isinstance(outcome, Reply) else Reply(result=outcome)
         return Answer(

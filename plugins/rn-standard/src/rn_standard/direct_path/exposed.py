@@ -19,7 +19,6 @@ from roboneuron import (
     Endpoint,
     InvalidInputError,
     JointSample,
-    RefusedError,
     RobotProfile,
 )
 from roboneuron.feature import ExposedEndpoint, GateRequest, ModuleKind, settings, topics
@@ -313,19 +312,6 @@ def same_for_each_topic(
     return made
 
 
-def check_no_preview(arguments: Mapping[str, object]) -> None:
-    """Raise RefusedError for a call that is only to be looked at: nothing acts on one.
-
-    The feature `preview` answers such calls before they come to a tool that acts.
-    """
-    if arguments.get("preview"):
-        raise RefusedError(
-            "The call cannot be previewed here; nothing moves.",
-            hint="The feature 'preview' does that; see disabled_plugins.",
-            rule="preview",
-        )
-
-
 def gate_request(
     context: CallContext,
     tool: str,
@@ -336,10 +322,8 @@ def gate_request(
     joints: JointSample | None = None,
     durations_s: Sequence[float] = (),
     send_at_s: Sequence[float] = (),
-    dry_run: bool = False,
 ) -> GateRequest:
-    """Create the request to the gate for this call."""
-    check_no_preview(arguments)
+    """Create the request to the gate for this call; of a simulated call nothing is sent."""
     return GateRequest(
         who=context.who,
         role=context.role,
@@ -351,5 +335,5 @@ def gate_request(
         joints=joints,
         durations_s=tuple(durations_s),
         send_at_s=tuple(send_at_s),
-        dry_run=dry_run,
+        simulated=context.simulated,
     )

@@ -67,7 +67,7 @@ class DirectPath(Feature[DirectPathOptions]):
             latch=host.loop.emergency_stop.file,
             audit=host.audit,
             clock=time.monotonic,
-            dry_run=self.options.dry_run,
+            simulated=self.options.simulate,
             transforms=self._transforms(host),
         )
         control = host.config.control

@@ -62,7 +62,7 @@ class Gate:
         latch: estop.EmergencyStopLatch,
         audit: AuditLog,
         clock: Callable[[], float],
-        dry_run: bool = False,
+        simulated: bool = False,
         transforms: FindTransform | None = None,
     ) -> None:
         """Args:
@@ -70,7 +70,7 @@ class Gate:
         latch: the emergency stop, shared with every process.
         audit: log of decisions.
         clock: monotonic time [s], for rates.
-        dry_run: answer every request, but let none be sent.
+        simulated: answer every request, but let none be sent.
         transforms: converts places to the frame of their endpoint; may block for a second. Without
             it, places in another frame are refused.
 
@@ -80,7 +80,7 @@ class Gate:
         self.latch = latch
         self.audit = audit
         self._clock = clock
-        self._dry_run = dry_run
+        self._simulated = simulated
         self.transforms = transforms
         self._entries: dict[_Key, _GatedEndpoint] = {}
         self._rates: dict[tuple[str, ...], RateLimit] = {}
@@ -121,13 +121,13 @@ class Gate:
         The messages of an allowed request may have been clamped, as listed in the verdict.
 
         Raises:
-            RefusedError: refused. A dry run gets an answer instead, with `allowed` false and the
-                reason.
+            RefusedError: refused. A simulated request gets an answer instead, with `allowed` false
+                and the reason.
         """
-        dry_run = request.dry_run or self._dry_run
-        verdict, cause = self._judge(request, dry_run)
+        simulated = request.simulated or self._simulated
+        verdict, cause = self._judge(request, simulated)
         self._write(request, verdict)
-        if cause is not None and not dry_run:
+        if cause is not None and not simulated:
             raise cause
         return verdict
 
@@ -137,9 +137,9 @@ class Gate:
         Raises:
             RefusedError: refused; the motion has to end.
         """
-        verdict, cause = self._judge(replace(request, repeated=True), self._dry_run)
+        verdict, cause = self._judge(replace(request, repeated=True), self._simulated)
         if cause is not None:
-            self._write(request, replace(verdict, dry_run=False))
+            self._write(request, replace(verdict, simulated=False))
             raise cause
 
     def check_running(self) -> None:
@@ -191,18 +191,20 @@ class Gate:
         if found is not None:
             found.rate.release(request)
 
-    def _judge(self, request: GateRequest, dry_run: bool) -> tuple[Verdict, RefusedError | None]:
+    def _judge(self, request: GateRequest, simulated: bool) -> tuple[Verdict, RefusedError | None]:
         rule, clamped = "", list[Clamp]()
         try:
-            for name in self._rules(request, dry_run, clamped):
+            for name in self._rules(request, simulated, clamped):
                 rule = name  # the last name yielded is that of the rule that raises
         except RefusedError as error:
             error.rule = error.limit if isinstance(error, LimitError) else rule
-            verdict = Verdict(allowed=False, dry_run=dry_run, reason=str(error), rule=error.rule)
+            verdict = Verdict(
+                allowed=False, simulated=simulated, reason=str(error), rule=error.rule
+            )
             return verdict, error
-        return Verdict(allowed=True, dry_run=dry_run, clamped=tuple(clamped)), None
+        return Verdict(allowed=True, simulated=simulated, clamped=tuple(clamped)), None
 
-    def _rules(self, request: GateRequest, dry_run: bool, clamped: list[Clamp]) -> Iterator[str]:
+    def _rules(self, request: GateRequest, simulated: bool, clamped: list[Clamp]) -> Iterator[str]:
         """Apply one rule after the other: its name is yielded before it is applied, and it raises
         RefusedError.
         """
@@ -269,7 +271,7 @@ class Gate:
                 with _judging():
                     entry.path().check(legs, request.joints)
         yield "path"
-        if dry_run and request.predict is not None:
+        if simulated and request.predict is not None:
             with _judging():
                 request.predict()
         if endpoint.kind != "read":
@@ -277,11 +279,11 @@ class Gate:
             self.latch.check(" Nothing was sent.")
         yield "rate"
         if not request.repeated:
-            self._check_rate(found.rate, request, dry_run)
+            self._check_rate(found.rate, request, simulated)
 
-    def _check_rate(self, rate: RateLimit, request: GateRequest, dry_run: bool) -> None:
+    def _check_rate(self, rate: RateLimit, request: GateRequest, simulated: bool) -> None:
         times_s = request.send_at_s or (0.0,) * max(1, len(request.messages))
-        wait_s = rate.wait_s(times_s) if dry_run else rate.take(times_s, request)
+        wait_s = rate.wait_s(times_s) if simulated else rate.take(times_s, request)
         if wait_s == 0.0:
             return
         name = request.endpoint
@@ -294,7 +296,7 @@ class Gate:
         raise RefusedError(f"Too many messages for {name!r}.", hint=f"Wait {wait_s:.2f} s.")
 
     def _write(self, request: GateRequest, verdict: Verdict) -> None:
-        words = ("would_refuse", "would_allow") if verdict.dry_run else ("refused", "allowed")
+        words = ("would_refuse", "would_allow") if verdict.simulated else ("refused", "allowed")
         record = AuditRecord(
             who=request.who[:200],
             role=request.role[:20],

@@ -78,14 +78,14 @@ class DirectGate:
             self.check_free(exposed)
         except RefusedError as error:
             rule = "emergency_stop" if self._gate.latch.is_latched() else "ownership"
-            return Verdict(allowed=False, dry_run=True, reason=str(error), rule=rule)
+            return Verdict(allowed=False, simulated=True, reason=str(error), rule=rule)
         return self._gate.check(request)
 
     def send_request(
         self, exposed: ExposedEndpoint, request: GateRequest, on_answer: Callable[[], None]
     ) -> tuple[Verdict, Call | None]:
         """As `MotionGate.send_request`."""
-        # it changes nothing, so it is answered in a dry run too
+        # it changes nothing, so it is answered when simulated too
         is_query = exposed.endpoint.kind == "read"
         stops = self._stops_until_now(exposed)
         if not is_query:
@@ -150,7 +150,7 @@ class DirectGate:
     ) -> Sent | None:
         """As `MotionGate.publish_now`."""
         writer, endpoint = self._traffic.known_writer(exposed), exposed.endpoint
-        if writer is None or request.dry_run or endpoint.joint_limited or self._is_still():
+        if writer is None or request.simulated or endpoint.joint_limited or self._is_still():
             return None
         if endpoint.frame and self._gate.transforms is not None:  # it may wait for them
             return None
@@ -179,7 +179,7 @@ class DirectGate:
     ) -> Sent:
         """As `MotionGate.publish`."""
         request = self._with_joints(exposed, request, timeout_s)
-        if request.dry_run:
+        if request.simulated:
             return self._asked(exposed, request)
         stops = self._stops_until_now(exposed)
         self.check_free(exposed)
@@ -211,7 +211,7 @@ class DirectGate:
     ) -> Sent:
         """As `MotionGate.play`."""
         request = self._with_joints(exposed, request, timeout_s)
-        if request.dry_run:
+        if request.simulated:
             return self._asked(exposed, request)
         with self.claim(exposed, request.tool, halt) as motion:
             stops = self._starts.arm_stops

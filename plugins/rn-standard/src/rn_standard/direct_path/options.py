@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from pydantic import Field
+import logging
+
+from pydantic import Field, model_validator
 
 from roboneuron import Section
 from roboneuron.feature import models
+
+log = logging.getLogger(__name__)
 
 
 class DirectPathOptions(Section):
     """`[direct_path]`: settings of every direct call."""
 
-    dry_run: bool = Field(
+    simulate: bool = Field(
         default=False, description="direct calls answer what would happen, nothing is sent"
     )
     max_duration_s: models.Seconds = Field(
@@ -24,3 +28,11 @@ class DirectPathOptions(Section):
         "it; empty: refused",
     )
     transform_age_s: models.Seconds = Field(default=1.0, description="oldest transform for that")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _accept_old_name(cls, given: object) -> object:
+        if not isinstance(given, dict) or "dry_run" not in given or "simulate" in given:
+            return given
+        log.warning("[direct_path] dry_run is called simulate now; 0.2 will refuse it.")
+        return {"simulate" if key == "dry_run" else key: value for key, value in given.items()}

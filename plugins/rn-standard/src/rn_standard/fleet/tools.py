@@ -33,6 +33,7 @@ class RobotContext:
         self._robot = robot
         self.who = context.who
         self.role = context.role
+        self.simulated = context.simulated
 
     async def run(
         self,

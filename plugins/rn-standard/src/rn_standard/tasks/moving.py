@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from rn_standard.direct_path.exposed import check_no_preview
 from rn_standard.tasks.options import PlaceOptions, PostureOptions, TasksSections
 from rn_standard.tasks.run_task import profile_of
 from rn_standard.tools_arm.grip import check_gripper
@@ -49,7 +48,6 @@ class MoveToArguments(Arguments):
     """Arguments of move_to."""
 
     name: str = Field(description="Where to.")
-    preview: bool = Field(default=False, description="Simulate only.")
 
 
 class MovedTo(Result):
@@ -191,10 +189,10 @@ class Mover:
                 f"There is no tool {tool_name} now.", hint="It comes with rn-tools-arm and an arm."
             )
         answer = await tool.call(arguments, context)
-        if not answer.structured.get("allowed", True) or answer.structured.get("dry_run"):
+        if not answer.structured.get("allowed", True) or answer.structured.get("simulated"):
             raise RefusedError(
-                f"The arm was not moved: {answer.structured.get('reason') or 'dry run'}.",
-                rule="dry_run",
+                f"The arm was not moved: {answer.structured.get('reason') or 'only simulated'}.",
+                rule="simulate",
             )
         return dict(answer.structured)
 
@@ -225,7 +223,6 @@ def check_places(options: TasksSections) -> None:
 
 def move_to_subject(places: Places, arguments: MoveToArguments) -> tuple[str, str] | None:
     """What a person is asked to approve, see `Approval`; None for an unknown name."""
-    check_no_preview(arguments.given())
     return ("move to", arguments.name) if arguments.name in places.choices() else None
 
 
@@ -233,7 +230,6 @@ def move_to_tool(mover: Mover, places: Places) -> Tool[MoveToArguments]:
     """move_to."""
 
     async def handler(arguments: MoveToArguments, context: CallContext) -> MovedTo:
-        check_no_preview(arguments.given())
         return await mover(arguments.name, context)
 
     return Tool(
@@ -245,6 +241,7 @@ def move_to_tool(mover: Mover, places: Places) -> Tool[MoveToArguments]:
         arguments=MoveToArguments,
         result=MovedTo,
         handler=handler,
+        simulated_by=frozenset({"twin"}),
         open_world=True,
         choices={"name": places.choices},
     )

@@ -10,7 +10,6 @@ from typing import cast
 from pydantic import Field
 
 from rn_standard.direct_path import truth
-from rn_standard.direct_path.exposed import check_no_preview
 from rn_standard.direct_path.fields import check_path, load_type
 from rn_standard.inference.instruction_text import InstructionText
 from rn_standard.selection.restricted import restricted_values
@@ -79,7 +78,6 @@ class RunTask(Arguments):
         max_length=64,
         description="At the end: hold, stop (the policy), or a name of move_to.",
     )
-    preview: bool = Field(default=False, description="Simulate only.")
 
 
 class TaskTool:
@@ -170,7 +168,6 @@ class TaskTool:
         self, arguments: RunTask, monitor_for: MonitorFor
     ) -> tuple[Predicate | None, RobotProfile | None, PredicateJudge | None]:
         """The predicate, the robot and the judge of a task that could be carried out now."""
-        check_no_preview(arguments.given())
         predicate = None if arguments.until is None else parse_predicate(arguments.until)
         known = [HOLD, STOP, *self._names()]
         if arguments.on_end not in known:
@@ -390,6 +387,7 @@ def run_task_tool(handler: TaskTool) -> Tool[RunTask]:
         arguments=RunTask,
         result=TaskResult,
         handler=handler,
+        simulated_by=frozenset({"twin"}),
         open_world=True,
         offered=handler.is_offered,
     )

@@ -34,8 +34,6 @@ class MoveEndEffector(Arguments):
     duration_s: float | None = Field(
         default=None, gt=0, description="Time for the move; as fast as allowed when omitted [s]."
     )
-    dry_run: bool = Field(default=False, description="Only say what would happen.")
-    preview: bool = Field(default=False, description="Simulate only.")
 
 
 class EndEffectorMove(Result):
@@ -46,13 +44,13 @@ class EndEffectorMove(Result):
     asked: dict[str, float] = Field(description="the requested move")
     moved: dict[str, float] = Field(description="the measured move, in the base frame")
     position_m: list[float] = Field(
-        description="measured TCP position at the end (a dry run: now), base frame"
+        description="measured TCP position at the end (simulated: now), base frame"
     )
     error_m: float = Field(description="distance from the target")
     error_rad: float
     sent: int = Field(description="actions")
-    duration_s: float = Field(description="taken; of a dry run that it would take")
-    dry_run: bool
+    duration_s: float = Field(description="taken; of a simulated call that it would take")
+    simulated: bool
     allowed: bool
     reason: str
     target_m: list[float] = Field(description="target of the TCP, base frame")

@@ -62,7 +62,7 @@ class _Line:
 
 @dataclass(kw_only=True, slots=True)
 class _Forecast:
-    """Prediction of a dry run: the duration of the move."""
+    """Prediction of a simulated call: the duration of the move."""
 
     took_s: float
 
@@ -111,7 +111,6 @@ class EndEffectorMover:
             self._exposed,
             [to_message(any_rows.space, row)],
             arguments.given(),
-            dry_run=arguments.dry_run,
         )
         halt = threading.Event()
         return await context.run(
@@ -189,7 +188,7 @@ class EndEffectorMover:
         self, order: Order, request: GateRequest, stage: Stage, halt: threading.Event
     ) -> EndEffectorMove:
         gate, exposed = self._gate, self._exposed
-        if request.dry_run:
+        if request.simulated:
             return self._judge(order, request)
         self.check()
         line = _Line(order=order)
@@ -212,7 +211,7 @@ class EndEffectorMover:
                 None,
                 allowed=verdict.allowed,
                 reason=verdict.reason,
-                dry_run=True,
+                simulated=True,
             )
         end = self._end(line)
         answer = self._answer(order, sent.messages, sent.duration_s, line.start, end)
@@ -226,7 +225,7 @@ class EndEffectorMover:
         return line.pace.pose(self._tcp, _AFTER_S)
 
     def _judge(self, order: Order, request: GateRequest) -> EndEffectorMove:
-        """Answer a dry run: predicted TCP, duration, and reasons for a refusal."""
+        """Answer a simulated call: predicted TCP, duration, and reasons for a refusal."""
         reason = self._why_not()
         forecast = _Forecast(took_s=order.duration_s)
         request = replace(
@@ -242,7 +241,7 @@ class EndEffectorMover:
             None,
             allowed=verdict.allowed and not reason,
             reason=verdict.reason if is_latched else reason or verdict.reason,
-            dry_run=True,
+            simulated=True,
         )
         return answer.model_copy(update={"holding": self._grip.holding()})
 
@@ -367,7 +366,7 @@ class EndEffectorMover:
         *,
         allowed: bool = True,
         reason: str = "",
-        dry_run: bool = False,
+        simulated: bool = False,
     ) -> EndEffectorMove:
         moved, error = np.zeros(6), np.zeros(6)
         if start is not None and end is not None:
@@ -390,7 +389,7 @@ class EndEffectorMover:
             error_rad=round(float(np.linalg.norm(error[3:])), 5),
             sent=sent,
             duration_s=round(duration_s, 3),
-            dry_run=dry_run,
+            simulated=simulated,
             allowed=allowed,
             reason=reason,
         )

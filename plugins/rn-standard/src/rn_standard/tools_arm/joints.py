@@ -62,8 +62,6 @@ class MoveJoints(Arguments):
     duration_s: float | None = Field(
         default=None, gt=0, description="Duration [s]; at a moderate speed if omitted."
     )
-    dry_run: bool = Field(default=False, description="Only say what would happen.")
-    preview: bool = Field(default=False, description="Simulate only.")
 
 
 class JointMove(Result):
@@ -73,7 +71,7 @@ class JointMove(Result):
     position: dict[str, float] = Field(description="measured at the end [rad or m]")
     error: float = Field(description="largest distance from the target [rad or m]")
     duration_s: float
-    dry_run: bool
+    simulated: bool
     allowed: bool
     reason: str
     holding: bool | None = Field(
@@ -116,14 +114,13 @@ def joint_tools(host: Host, endpoints: Iterable[ExposedEndpoint], gate: MotionGa
                 properties={
                     "positions": joints,
                     "duration_s": {"maximum": gate.max_duration_s},
-                    "dry_run": {},
-                    "preview": {},
                 },
                 required=["positions"],
             ),
             result=JointMove,
             handler=mover,
             open_world=True,
+            simulated_by=frozenset({"twin", "limits"}),
         )
     ]
 
@@ -185,15 +182,15 @@ class JointMover:
         self, arguments: MoveJoints, context: CallContext, stage: Stage, halt: threading.Event
     ) -> JointMove:
         exposed, gate = self._exposed, self._gate
-        dry_run = arguments.dry_run
-        if self._world is not None and not dry_run:
+        simulated = context.simulated
+        if self._world is not None and not simulated:
             self._world.await_rest()
         joints = gate.joints(exposed, _MEASURED_S)
         if joints is None:
             raise self._unmeasured()
         target = nearest_goals(arguments.positions, joints, self._limits)
         request, duration_s = self.request(arguments, joints, context)
-        if dry_run:
+        if simulated:
             verdict = gate.ask(exposed, request)
             return self._answer(target, joints, duration_s, verdict.allowed, verdict.reason, True)
         grips = list(dict.fromkeys(self._grip_of[name] for name in target))
@@ -238,7 +235,6 @@ class JointMover:
             [trajectory_to(target, duration_s, joints, self._limits)],
             arguments.given(),
             joints=joints,
-            dry_run=arguments.dry_run,
         )
         if asked_s is None and (slower := self._gate.slowdown(request)) > 1.0:
             duration_s *= slower * 1.01  # rounding
@@ -365,14 +361,14 @@ class JointMover:
         duration_s: float,
         allowed: bool,
         reason: str,
-        dry_run: bool,
+        simulated: bool,
     ) -> JointMove:
         return JointMove(
             robot=self._exposed.robot,
             position={name: round(position_of(joints, name), 5) for name in target},
             error=round(self._error(self._left(target, joints), joints), 5),
             duration_s=round(duration_s, 3),
-            dry_run=dry_run,
+            simulated=simulated,
             allowed=allowed,
             reason=reason,
         )

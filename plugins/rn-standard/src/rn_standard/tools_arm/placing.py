@@ -11,7 +11,6 @@ from pydantic import Field
 from pydantic.json_schema import JsonSchemaValue
 
 from rn_standard.direct_path.derived import Derived
-from rn_standard.direct_path.exposed import check_no_preview
 from rn_standard.stepped.clock import CLOSED_METRIC
 from rn_standard.tools_arm.arm_rows import of_named_arm
 from rn_standard.tools_arm.ee_move import EndEffectorMove, MoveEndEffector
@@ -57,7 +56,6 @@ class PlaceArguments(Arguments):
         le=2,
         description="TCP height at release; where the hand closed when omitted [m].",
     )
-    preview: bool = Field(default=False, description="Simulate only.")
 
 
 class Placed(Result):
@@ -150,7 +148,6 @@ class Placer:
             StateError: the hand lost the object on the way.
         """
         began_s = time.monotonic()
-        check_no_preview(arguments.given())
         self.mover.check()
         await context.run(lambda _: self.check_holds())
         self.release_height_m(arguments)
@@ -227,8 +224,10 @@ def _pieces(**delta: float) -> Iterator[MoveEndEffector]:
 
 def _check(moved: EndEffectorMove) -> None:
     """Raise RefusedError if nothing was moved."""
-    if moved.dry_run or not moved.allowed:
-        raise RefusedError(f"The arm was not moved: {moved.reason or 'dry run'}.", rule="dry_run")
+    if moved.simulated or not moved.allowed:
+        raise RefusedError(
+            f"The arm was not moved: {moved.reason or 'only simulated'}.", rule="simulate"
+        )
 
 
 class PlaceOfArm:
@@ -275,5 +274,6 @@ def place_tool(
         ),
         result=Placed,
         handler=PlaceOfArm(placers) if several else placers[""],
+        simulated_by=frozenset({"twin"}),
         open_world=True,
     )

@@ -69,6 +69,7 @@ def arm_tools(
         ),
         result=EndEffectorMove,
         handler=MoveOfArm(movers) if profile.arms else movers[""],
+        simulated_by=frozenset({"twin", "limits"}),
         open_world=True,
     )
     if not hands:

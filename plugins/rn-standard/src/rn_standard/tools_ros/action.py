@@ -15,7 +15,7 @@ from rn_standard.direct_path.derived import Derived
 from rn_standard.direct_path.exposed import gate_request
 from rn_standard.direct_path.message_types import RosMessage
 from rn_standard.direct_path.places import check_way
-from rn_standard.tools_ros.calls import Judged, SendingCall, Value, verdict_fields
+from rn_standard.tools_ros.calls import Judged, RobotCall, Value, verdict_fields
 from rn_standard.tools_ros.exposed_types import action_of
 from rn_standard.tools_ros.goals import GoalEnd, send_goal
 from rn_standard.tools_ros.interfaces import ActionInterface
@@ -28,7 +28,7 @@ _FEEDBACK_PERIOD_S = 0.1
 _LONGEST_S = 60.0
 
 
-class SendGoal(SendingCall):
+class SendGoal(RobotCall):
     """Arguments of an action tool."""
 
     goal: Value = Field(default_factory=dict)
@@ -43,12 +43,12 @@ class SendGoal(SendingCall):
 
 
 class GoalResult(Judged):
-    """End of the goal; a dry run has no result."""
+    """End of the goal; a simulated call has no result."""
 
     robot: str
     action: str
     type: str
-    status: Literal["succeeded", ""] = Field(description="empty in a dry run")
+    status: Literal["succeeded", ""] = Field(description="empty when simulated")
     result: Value = Field(default_factory=dict)
     feedbacks: int = Field(description="number of feedback messages")
     took_s: float
@@ -87,7 +87,6 @@ class GoalSending:
             exposed,
             [message],
             arguments.given(),
-            dry_run=arguments.dry_run,
             joints=self._gate.newest_joints(exposed) if exposed.endpoint.joint_limited else None,
         )
         halt = threading.Event()

@@ -22,13 +22,7 @@ class RobotCall(Arguments):
     robot: str = Field(default="", description="Which robot.")
 
 
-class SendingCall(RobotCall):
-    """Arguments of a call that sends a message, request or goal."""
-
-    dry_run: bool = Field(default=False, description="Only say what would happen.")
-
-
-class PublishingCall(SendingCall):
+class PublishingCall(RobotCall):
     """Arguments of a call that publishes."""
 
     timeout_s: float = Field(default=5.0, ge=0, le=60, description="For a subscriber [s].")
@@ -37,16 +31,16 @@ class PublishingCall(SendingCall):
 class Judged(Result):
     """Result of a call that may be refused."""
 
-    dry_run: bool = Field(description="it was only a question; nothing was sent")
+    simulated: bool = Field(description="it was only a question; nothing was sent")
     allowed: bool
-    rule: str = Field(description="dry run: the rule that would refuse")
-    reason: str = Field(description="dry run: why")
+    rule: str = Field(description="simulated: the rule that would refuse")
+    reason: str = Field(description="simulated: why")
 
 
 class JudgedFields(TypedDict):
     """The fields of `Judged`."""
 
-    dry_run: bool
+    simulated: bool
     allowed: bool
     rule: str
     reason: str
@@ -55,7 +49,7 @@ class JudgedFields(TypedDict):
 def verdict_fields(verdict: Verdict) -> JudgedFields:
     """The fields of `Judged` for a verdict."""
     return {
-        "dry_run": verdict.dry_run,
+        "simulated": verdict.simulated,
         "allowed": verdict.allowed,
         "rule": verdict.rule,
         "reason": verdict.reason,

@@ -90,9 +90,7 @@ def _publish(name: str, noun: str, targets: Targets, host: Host) -> Tool[Publish
         )
     elif targets.trajectory:
         lasts = "Returns when its time is over; if cancelled, the joints hold. "
-    properties |= {"timeout_s": {}, "dry_run": {}}
-    if targets.trajectory:
-        properties["preview"] = {}
+    properties["timeout_s"] = {}
     return Tool(
         name=name,
         title=f"Publish {noun}",
@@ -105,6 +103,7 @@ def _publish(name: str, noun: str, targets: Targets, host: Host) -> Tool[Publish
         result=Delivery,
         handler=Publishing(gate, targets, name),
         open_world=True,
+        simulated_by=frozenset({"twin", "limits"} if targets.trajectory else {"limits"}),
     )
 
 
@@ -157,13 +156,13 @@ def _sequence(name: str, noun: str, targets: Targets, host: Host) -> Tool[Publis
                 "steps": steps,
                 "times": {},
                 "timeout_s": {},
-                "dry_run": {},
             },
             required=[*targets.arguments, "steps"],
         ),
         result=Delivery,
         handler=Sequencing(gate, targets, name),
         open_world=True,
+        simulated_by=frozenset({"limits"}),
         seldom=True,
     )
 
@@ -254,12 +253,13 @@ def _service(name: str, noun: str, targets: Targets, host: Host) -> Tool[CallSer
         description=f"{targets.describe()} Calls the service and returns its response.",
         arguments=Derived(
             model=CallService,
-            properties={**targets.schema(), "request": request, "timeout_s": {}, "dry_run": {}},
+            properties={**targets.schema(), "request": request, "timeout_s": {}},
             required=_required(targets, "request", interface.request.fields),
         ),
         result=served_model(targets),
         handler=Calling(host.gate, targets, name),
         open_world=True,
+        simulated_by=frozenset({"limits"}),
     )
 
 
@@ -272,7 +272,6 @@ def _action(name: str, noun: str, targets: Targets, host: Host) -> Tool[SendGoal
         "goal": message_schema(interface.goal, hull([e.endpoint for e in targets.endpoints])),
         "timeout_s": {"maximum": gate.max_duration_s, "default": sending.timeout_s},
         "server_timeout_s": {},
-        "dry_run": {},
     }
     return Tool(
         name=name,
@@ -290,6 +289,7 @@ def _action(name: str, noun: str, targets: Targets, host: Host) -> Tool[SendGoal
         ),
         result=goal_model(targets),
         handler=sending,
+        simulated_by=frozenset({"limits"}),
         open_world=True,
     )
 

@@ -133,7 +133,7 @@ def send_goal(
     """
     if exposed.endpoint.joint_limited and request.joints is None:
         request = replace(request, joints=gate.joints(exposed, server_s))
-    if request.dry_run:
+    if request.simulated:
         return GoalEnd(verdict=gate.ask(exposed, request))
     with gate.claim(exposed, request.tool, halt) as motion:
         return _follow(gate, exposed, request, motion, timeout_s, server_s, on_feedback, watch)

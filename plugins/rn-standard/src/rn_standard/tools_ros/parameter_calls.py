@@ -45,7 +45,6 @@ class SetParameters(ListParameters):
     parameters: dict[str, object] = Field(
         min_length=1, max_length=MOST, description="Value by name."
     )
-    dry_run: bool = Field(default=False, description="Only answer what would happen.")
 
 
 class ParameterNames(Result):
@@ -63,9 +62,9 @@ class Parameters(Result):
 
 
 class Setting(Parameters):
-    """The values after the call; the present ones after a dry run."""
+    """The values after the call; the present ones after a simulated call."""
 
-    dry_run: bool
+    simulated: bool
     allowed: bool
     reason: str
 
@@ -169,7 +168,6 @@ class ParameterCalls:
             gate_entry,
             [request],
             arguments.given(),
-            dry_run=arguments.dry_run,
         )
         halt = threading.Event()
 
@@ -182,7 +180,7 @@ class ParameterCalls:
         def setting(values: dict[str, tuple[int, Plain]]) -> Setting:
             return Setting(
                 node=node.name,
-                dry_run=verdict.dry_run,
+                simulated=verdict.simulated,
                 allowed=verdict.allowed,
                 reason=verdict.reason,
                 parameters={n: v for n, (_, v) in values.items()},

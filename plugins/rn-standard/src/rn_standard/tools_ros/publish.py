@@ -36,7 +36,7 @@ class ClampedValue(Result):
 
 
 class Delivery(Judged):
-    """Sent messages and their number of subscribers; in a dry run, what would be sent."""
+    """Sent messages and their number of subscribers; of a simulated call, what would be sent."""
 
     robot: str
     topic: str
@@ -57,7 +57,6 @@ class Publish(PublishingCall):
         gt=0,
         description="Duration [s]; then it is stopped. Joints reach their targets within it.",
     )
-    preview: bool = Field(default=False, description="Simulate only.")
 
 
 class Publishing:
@@ -101,7 +100,6 @@ class Publishing:
             arguments.given(),
             joints=self._gate.newest_joints(exposed) if exposed.endpoint.joint_limited else None,
             durations_s=[step.duration_s] if exposed.endpoint.joint_limited else [],
-            dry_run=arguments.dry_run,
         )
         if not step.duration_s:
             sent = self._gate.publish_now(exposed, request, stamped=step.stamped)

@@ -71,7 +71,6 @@ class Sequencing:
             joints=self._gate.newest_joints(exposed) if joint_limited else None,
             durations_s=[step.duration_s for step in played] if joint_limited else [],
             send_at_s=starts_s,
-            dry_run=arguments.dry_run,
         )
         halt = threading.Event()
         work = partial(

@@ -10,7 +10,7 @@ from pydantic import Field
 
 from rn_standard.direct_path.derived import Derived
 from rn_standard.direct_path.exposed import gate_request
-from rn_standard.tools_ros.calls import Judged, SendingCall, Value, verdict_fields
+from rn_standard.tools_ros.calls import Judged, RobotCall, Value, verdict_fields
 from rn_standard.tools_ros.exposed_types import service_of
 from rn_standard.tools_ros.schemas import decoded_schema
 from rn_standard.tools_ros.service_calls import Response, call
@@ -19,7 +19,7 @@ from roboneuron import CallContext
 from roboneuron.feature import MotionGate, Stage
 
 
-class CallService(SendingCall):
+class CallService(RobotCall):
     """Arguments of a service tool."""
 
     request: Value = Field(default_factory=dict)
@@ -27,7 +27,7 @@ class CallService(SendingCall):
 
 
 class ServiceAnswer(Judged):
-    """Answer of the service; empty in a dry run."""
+    """Answer of the service; empty when simulated."""
 
     robot: str
     service: str
@@ -37,7 +37,7 @@ class ServiceAnswer(Judged):
 
 
 def served_model(targets: Targets) -> Derived[ServiceAnswer]:
-    """Return the result model, with the schema of the response; a dry run has none."""
+    """Return the result model, with the schema of the response; a simulated call has none."""
     interface = service_of(targets.first)
     own: dict[str, dict[str, object]] = {name: {} for name in ServiceAnswer.model_fields}
     required = [name for name in own if name != "response"]
@@ -64,7 +64,7 @@ class Calling:
             arguments.request, now_ns=time.time_ns(), argument="request"
         )
         request = gate_request(
-            context, self._tool, exposed, [message], arguments.given(), dry_run=arguments.dry_run
+            context, self._tool, exposed, [message], arguments.given()
         )  # fmt: skip
         halt = threading.Event()
 

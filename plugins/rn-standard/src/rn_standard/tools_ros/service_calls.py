@@ -41,7 +41,7 @@ def call(
     """
     if exposed.endpoint.joint_limited:
         request = replace(request, joints=gate.joints(exposed, min(timeout_s, 2.0)))
-    if request.dry_run:
+    if request.simulated:
         return Response(verdict=gate.ask(exposed, request))
     if exposed.endpoint.kind != "read":
         gate.check_free(exposed)

@@ -90,6 +90,8 @@ class ServerOperator:
 class _Context:
     """CallContext of a button."""
 
+    simulated = False
+
     def __init__(self, holder: Holder) -> None:
         self.who, self.role = holder.who, holder.role
 

@@ -65,7 +65,7 @@ class PastTasks:
         Args:
             instruction: instruction of the task.
             before: numbers of the tasks before it. If no other task has this instruction, the call
-                made no task, as a preview or a refused call, and nothing is stored.
+                made no task, as a simulated or a refused call, and nothing is stored.
             first, last: JPEG of the start and the end, if any.
         """
         words = instruction.strip()

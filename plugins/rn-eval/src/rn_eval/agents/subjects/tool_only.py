@@ -305,7 +305,7 @@ async def _in_pieces(tools: ToolClient, delta: dict[str, float]) -> ToolAnswer:
     """Move straight in pieces; the whole move is checked first, because a part of it would be
     useless.
     """
-    whole = await tools.call("move_ee", dry_run=True, **delta)
+    whole = await tools.call("move_ee", simulate=True, **delta)
     if not whole.ok or whole.data.get("allowed") is False:
         reason = whole.text or str(whole.data.get("reason"))
         return ToolAnswer(ok=False, code="refused", text=reason)

@@ -29,7 +29,7 @@ controller = "urdf"
 name = "person"
 lower_m = [0.22, 0.12, 0.0]
 upper_m = [0.40, 0.30, 0.7]
-[preview]
+[simulate]
 limit_s = 60.0
 [supervisor]
 state_directory = "{state}"
@@ -76,7 +76,7 @@ def heard(tmp_path: Path, environment: dict[str, str]) -> Iterator[Path]:
         process.wait(10)
 
 
-def test_previews_publish_nothing_and_come_true(
+def test_simulated_calls_publish_nothing_and_come_true(
     tmp_path: Path, environment: dict[str, str], heard: Path
 ) -> None:
     config = tmp_path / "roboneuron.toml"
@@ -103,15 +103,15 @@ def test_previews_publish_nothing_and_come_true(
             await do("start_robot")
             await do("start_control")
             turn = {"positions": {"fr3_joint1": -0.3}}
-            await do("move_joints", **turn, preview=True)  # messages of the start have arrived now
+            await do("move_joints", **turn, simulate=True)  # messages of the start have arrived now
             before, start = lines(), await joints()
             reach = {"dx_m": 0.06, "dy_m": -0.05, "dz_m": -0.1}
-            promise = await do("move_ee", **reach, preview=True)
+            promise = await do("move_ee", **reach, simulate=True)
             assert promise["outcome"] == "reached"
             assert promise["now"] == ""
-            stopped = await do("move_ee", dy_m=0.45, preview=True)
+            stopped = await do("move_ee", dy_m=0.45, simulate=True)
             assert (stopped["outcome"], stopped["rule"]) == ("stopped", "zone")
-            turned = await do("move_joints", **turn, preview=True)
+            turned = await do("move_joints", **turn, simulate=True)
             assert turned["outcome"] == "reached"
             assert np.abs(await joints() - start).max() < 1e-3
             assert lines() == before
@@ -124,9 +124,9 @@ def test_previews_publish_nothing_and_come_true(
             assert "would enter 'person'" in refused.content[0].text  # type: ignore[union-attr]
 
             await do("emergency_stop", reason="a test")
-            await do("move_joints", **turn, preview=True)  # as has the hold of the stop
+            await do("move_joints", **turn, simulate=True)  # as has the hold of the stop
             still, start = lines(), await joints()
-            looked = await do("move_joints", **turn, preview=True)
+            looked = await do("move_joints", **turn, simulate=True)
             assert "mergency stop" in looked["now"]
             assert np.abs(await joints() - start).max() < 1e-3
             assert lines() == still
@@ -136,7 +136,7 @@ def test_previews_publish_nothing_and_come_true(
 
 
 @pytest.mark.timeout(600)
-def test_a_place_ends_as_its_preview_has_told(tmp_path: Path, environment: dict[str, str]) -> None:
+def test_a_place_ends_as_it_was_simulated(tmp_path: Path, environment: dict[str, str]) -> None:
     config = tmp_path / "roboneuron.toml"
     config.write_text(CONFIG.format(state=tmp_path / "state"))
     command = ["-m", "roboneuron.cli.main", "serve", "--config", str(config)]
@@ -158,7 +158,7 @@ def test_a_place_ends_as_its_preview_has_told(tmp_path: Path, environment: dict[
                 picked = await do("run_task", instruction="pick up the red cube", until=until)
                 assert picked["outcome"] == "succeeded"
                 await do("stop_inference")
-                told = await do("place", **place, preview=True)
+                told = await do("place", **place, simulate=True)
                 happened = await client.call_tool("place", place)
                 assert happened.is_error is (told["outcome"] != "reached"), (told, happened)
                 if not happened.is_error:

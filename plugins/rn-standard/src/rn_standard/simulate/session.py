@@ -1,4 +1,4 @@
-"""One preview: the calls of the arm's tools, carried out in a twin."""
+"""One simulation: the calls of the arm's tools, carried out in a twin."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ import numpy as np
 from rn_standard.direct_path.allow_list import ArmPaths
 from rn_standard.direct_path.joints import check_joints, joint_commands
 from rn_standard.direct_path.path_limits import PathLimiter
-from rn_standard.preview.arm import TwinArm
-from rn_standard.preview.results import Outcome
-from rn_standard.preview.task import run_in_twin
-from rn_standard.preview.twin_process import TwinProcess
+from rn_standard.simulate.arm import TwinArm
+from rn_standard.simulate.results import Outcome
+from rn_standard.simulate.task import run_in_twin
+from rn_standard.simulate.twin_process import TwinProcess
 from rn_standard.tasks.moving import Mover, MoveToArguments, Places
 from rn_standard.tasks.run_task import RunTask, TaskTool
 from rn_standard.tools_arm.ee_move import MoveEndEffector
@@ -39,7 +39,7 @@ from roboneuron.feature import ExposedEndpoint, MotionRules, Stage, inspector_of
 
 T = TypeVar("T")
 MODELS = (MoveEndEffector, MoveJoints, MoveToArguments, PlaceArguments, Publish, RunTask)
-"""Arguments of the tools that can be previewed."""
+"""Arguments of the tools that the twin can simulate."""
 
 
 class EndedError(Exception):
@@ -51,7 +51,9 @@ class EndedError(Exception):
 
 
 class _Inline:
-    """A CallContext for what runs on the thread of the preview already."""
+    """A CallContext for what runs on the thread of the simulation already."""
+
+    simulated = True
 
     def __init__(self, context: CallContext) -> None:
         self.who, self.role = context.who, context.role
@@ -177,7 +179,7 @@ class Session:
     def _trajectory(self, handler: Publishing, arguments: Publish) -> None:
         exposed, interface = handler.endpoints[arguments.robot]
         if exposed.namespace != self._exposed.namespace:
-            raise NotReadyError("Only trajectories of this server's own arm can be previewed.")
+            raise NotReadyError("Only trajectories of this server's own arm can be simulated.")
         self._play(encode_step(interface, arguments.message, 0.0).message)
 
     def _play(self, message: Any) -> None:
@@ -244,7 +246,7 @@ def arm_endpoint(host: Host) -> ExposedEndpoint:
         None,
     )
     if found is None:
-        raise NotReadyError("There is no arm here whose motion could be previewed.")
+        raise NotReadyError("There is no arm here whose motion could be simulated.")
     return found
 
 

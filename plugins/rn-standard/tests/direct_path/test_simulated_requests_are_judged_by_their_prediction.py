@@ -22,7 +22,7 @@ from roboneuron.errors import ConfigurationError, RefusedError
         ),
     ],
 )
-def test_a_dry_run_is_refused_by_its_prediction_and_audited_as_such(
+def test_a_simulated_request_is_refused_by_its_prediction_and_audited_as_such(
     make_gate, ask, endpoints, audit, cause: Exception, rule: str, text: str
 ) -> None:
     def predict() -> None:
@@ -30,9 +30,9 @@ def test_a_dry_run_is_refused_by_its_prediction_and_audited_as_such(
 
     gate = make_gate()
     request = replace(ask(endpoints["velocity"], {"linear": {"x": 0.1}}), predict=predict)
-    verdict = gate.check(replace(request, dry_run=True))
+    verdict = gate.check(replace(request, simulated=True))
     assert (verdict.allowed, verdict.rule) == (False, rule)
     assert text in verdict.reason
     assert '"verdict":"would_refuse"' in audit.path.read_text()
     assert gate.check(request).may_send  # the real motion is judged while it is carried out
-    assert not make_gate(dry_run=True).check(request).allowed
+    assert not make_gate(simulated=True).check(request).allowed

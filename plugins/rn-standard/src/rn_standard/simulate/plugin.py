@@ -3,10 +3,10 @@
 from roboneuron import FeatureSpec, hookimpl
 
 FEATURE = FeatureSpec(
-    name="preview",
-    summary="preview=true: what a motion would do, found out in a simulated twin of the cell.",
-    target="rn_standard.preview.feature:PreviewFeature",
-    config="rn_standard.preview.options:PreviewOptions",
+    name="simulate",
+    summary="simulate=true: what a motion would do, found out in a simulated twin of the cell.",
+    target="rn_standard.simulate.feature:SimulateFeature",
+    config="rn_standard.simulate.options:SimulateOptions",
     needs=("direct-path", "tools-arm"),
 )
 """Descriptor of the feature."""

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from rn_standard.direct_path.path_limits import Leg
-from rn_standard.preview.arm import TooLongError, TwinArm
-from rn_standard.preview.results import Survey, outside_m
+from rn_standard.simulate.arm import TooLongError, TwinArm
+from rn_standard.simulate.results import Survey, outside_m
 from roboneuron.config import LimitsConfig
 from roboneuron.contract import (
     EE_DELTA,

@@ -6,8 +6,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from rn_standard.preview.arm import TwinArm
-from rn_standard.preview.twin_process import TwinProcess
+from rn_standard.simulate.arm import TwinArm
+from rn_standard.simulate.twin_process import TwinProcess
 from rn_standard.tasks.judging import PredicateJudge
 from rn_standard.tasks.runner import Task, TaskEnd, TaskPlan
 from rn_standard.tasks.snapshot import Snapshot, StillClock
@@ -34,19 +34,19 @@ def policy_of(host: Host) -> tuple[BackendSpec, Mapping[str, object]]:
     """The backend that runs, or the configured one, and its options.
 
     Raises:
-        RefusedError: there is none, or it needs a model, which a preview does not load.
+        RefusedError: there is none, or it needs a model, which a simulation does not load.
     """
     plan = host.modules.view("inference").plan
     config: Config = host.config if plan is None else plan.config
     if config.inference is None:
-        raise RefusedError("No policy is configured.", rule="preview")
+        raise RefusedError("No policy is configured.", rule="simulate")
     spec = host.registry.get(BackendSpec, config.inference.backend)
     if spec.family or spec.needs_checkpoint or spec.runtimes_required or spec.space is not None:
         raise RefusedError(
-            f"A task of {spec.name!r} cannot be previewed: its model is not loaded a second time, "
+            f"A task of {spec.name!r} cannot be simulated: its model is not loaded a second time, "
             "nor asked for a scene that there is not.",
-            hint="Preview single motions: move_ee, move_joints, move_to.",
-            rule="preview",
+            hint="Simulate single motions: move_ee, move_joints, move_to.",
+            rule="simulate",
         )
     return spec, config.options(spec.name)
 
@@ -58,7 +58,7 @@ class TwinCell:
         self, arm: TwinArm, twin: TwinProcess, spec: BackendSpec, profile: RobotProfile
     ) -> None:
         """Args:
-        arm, twin: of the preview; the twin has loaded the policy.
+        arm, twin: of the simulation; the twin has loaded the policy.
         spec: of the policy.
         profile: of the robot.
         """
@@ -76,7 +76,7 @@ class TwinCell:
         return self._arm.passed_s
 
     def wait(self, seconds: float) -> bool:
-        """See `Cell`; nobody ends a preview but its bound. Raises TooLongError."""
+        """See `Cell`; nobody ends a simulation but its bound. Raises TooLongError."""
         end_s = self.now_s() + seconds
         while self.now_s() < end_s - 1e-9:
             if self._instruction and self.now_s() >= self._due_s - 1e-9:
@@ -116,7 +116,7 @@ class TwinCell:
         self._arm.hold()
 
     def evidence(self) -> tuple[Picture, ...]:
-        """See `Cell`; the preview takes a picture of its own."""
+        """See `Cell`; the simulation takes a picture of its own."""
         return ()
 
     def _act(self) -> None:

@@ -1,5 +1,5 @@
-"""A preview sends nothing, whoever requests it and whatever forbids motion; and it reports what the
-real limits would do.
+"""A simulated call sends nothing, whoever requests it and whatever forbids motion; and it reports
+what the real limits would do.
 """
 
 from __future__ import annotations
@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
+from unittest.mock import Mock
 
 import anyio
 import numpy as np
@@ -19,14 +20,15 @@ from rn_robot_fr3.scene import random_cubes
 from rn_robot_fr3.world import JOINTS
 from rn_simulation.scene_state import SceneState, at_rest, to_message
 from rn_standard.http.feature import HttpFeature
-from rn_standard.preview import feature as feature_module
-from rn_standard.preview.feature import PreviewFeature
-from rn_standard.preview.task import policy_of
+from rn_standard.simulate import feature as feature_module
+from rn_standard.simulate.feature import SimulateFeature
+from rn_standard.simulate.task import policy_of
 from rn_standard.tools_arm.grip import Grip
 from roboneuron.config import parse_config
 from roboneuron.config.reading import default_text
 from roboneuron.contract import JointSample
-from roboneuron.errors import RefusedError
+from roboneuron.errors import NotReadyError, RefusedError
+from roboneuron.feature import GateRequest
 from roboneuron.plugins.discovery import discover
 from roboneuron.server import surface
 from roboneuron.server.app import Application
@@ -34,7 +36,7 @@ from roboneuron.server.host import Host
 from roboneuron.server.tool import LOCAL_AGENT
 
 CELL = """
-[preview]
+[simulate]
 limit_s = 60.0
 [http]
 lease_s = 60.0
@@ -74,7 +76,11 @@ def sent(application: Application, monkeypatch: pytest.MonkeyPatch) -> list[str]
     asked: list[str] = []
 
     def note(name: str) -> Any:
-        def refuse(*_: object, **__: object) -> None:
+        own = getattr(application.host.gate, name)
+
+        def refuse(exposed: object, request: object = None, *rest: Any, **more: Any) -> object:
+            if isinstance(request, GateRequest) and request.simulated:  # the gate sends nothing
+                return own(exposed, request, *rest, **more)
             asked.append(name)
             raise AssertionError(name)
 
@@ -93,8 +99,8 @@ def call(application: Application, tool: str, **arguments: Any) -> Any:
     return anyio.run(ask)
 
 
-def previewed(application: Application, tool: str, **arguments: Any) -> Mapping[str, Any]:
-    answer = call(application, tool, preview=True, **arguments)
+def simulated(application: Application, tool: str, **arguments: Any) -> Mapping[str, Any]:
+    answer = call(application, tool, simulate=True, **arguments)
     assert not answer.is_error, answer.content
     assert [part.type for part in answer.content] == ["text", "image"]
     assert answer.content[1].mime_type == "image/png"
@@ -117,7 +123,7 @@ def previewed(application: Application, tool: str, **arguments: Any) -> Mapping[
         ("publish_joint_trajectory", {"message": TRAJECTORY}, "reached", ""),
     ],
 )
-def test_a_preview_tells_the_outcome_and_sends_nothing(
+def test_a_simulated_call_tells_the_outcome_and_sends_nothing(
     application: Application,
     sent: list[str],
     tool: str,
@@ -125,7 +131,7 @@ def test_a_preview_tells_the_outcome_and_sends_nothing(
     outcome: str,
     rule: str,
 ) -> None:
-    told = previewed(application, tool, **arguments)
+    told = simulated(application, tool, **arguments)
     assert (told["outcome"], told["rule"]) == (outcome, rule)
     assert bool(told["reason"]) is (outcome != "reached")
     assert {near["to"] for near in told["nearest"]} >= {"lamp", "itself", "zone person"}
@@ -140,7 +146,7 @@ def test_a_latched_stop_keeps_nobody_from_looking(
     latch = application.loop.emergency_stop
     latch.file.press(who="ann", reason="a test")
     try:
-        told = previewed(application, "move_joints", positions={"fr3_joint1": 0.2})
+        told = simulated(application, "move_joints", positions={"fr3_joint1": 0.2})
         assert told["outcome"] == "reached"
         assert "mergency stop" in told["now"]
         assert latch.is_latched()
@@ -158,7 +164,7 @@ def test_a_viewer_looks_while_another_operates_and_touches_no_lease(
     renewed_s = lease._renewed_s
     viewer = replace(LOCAL_AGENT, who="eve", role="viewer")
     monkeypatch.setattr(surface, "holder_of", lambda request: viewer)
-    told = previewed(application, "move_joints", positions={"fr3_joint1": 0.2})
+    told = simulated(application, "move_joints", positions={"fr3_joint1": 0.2})
     assert told["outcome"] == "reached"
     assert "role" in told["now"]
     assert (lease._operator, lease._renewed_s) == ("ann", renewed_s)
@@ -205,15 +211,15 @@ def test_a_task_is_carried_out_in_the_twin(
     high = {"kind": "tcp_in", "lower_m": [0.2, -0.5, 0.15], "upper_m": [0.8, 0.5, 0.4]}
     until = {"kind": "all", "of": [holds, high]}
     instruction = f"pick up the {colour} cube"
-    told = previewed(application, "run_task", instruction=instruction, until=until)
+    told = simulated(application, "run_task", instruction=instruction, until=until)
     assert (told["outcome"], told["rule"], told["collides_with"]) == (outcome, rule, moved)
     assert said in told["reason"]
     assert sent == []
 
 
 def test_a_task_in_a_cell_that_is_not_known_is_refused(application: Application) -> None:
-    answer = call(application, "run_task", instruction="pick up the red cube", preview=True)
-    assert answer.meta["roboneuron/error"]["rule"] == "preview"
+    answer = call(application, "run_task", instruction="pick up the red cube", simulate=True)
+    assert answer.meta["roboneuron/error"]["rule"] == "simulate"
     assert "move_ee" in answer.content[0].text
 
 
@@ -226,18 +232,18 @@ def test_a_task_of_a_policy_with_a_model_is_refused(application: Application) ->
     )
     view = SimpleNamespace(plan=SimpleNamespace(config=config))
     modules = SimpleNamespace(view=lambda kind: view)
-    with pytest.raises(RefusedError, match="'oft' cannot be previewed") as refused:
+    with pytest.raises(RefusedError, match="'oft' cannot be simulated") as refused:
         policy_of(cast("Host", SimpleNamespace(modules=modules, registry=host.registry)))
-    assert refused.value.rule == "preview"
+    assert refused.value.rule == "simulate"
 
 
-def test_a_preview_that_takes_too_long_says_so(
+def test_a_simulated_call_that_takes_too_long_says_so(
     application: Application, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    feature = application.host.feature("preview", PreviewFeature)
+    feature = application.host.feature("simulate", SimulateFeature)
     options = feature.options.model_copy(update={"limit_s": 1e-3})
     monkeypatch.setattr(feature, "options", options)
-    told = previewed(application, "move_ee", dx_m=0.05)
+    told = simulated(application, "move_ee", dx_m=0.05)
     assert told["outcome"] == "unclear"
     assert "longer than 0.001 s" in told["reason"]
 
@@ -280,7 +286,7 @@ def test_what_the_hand_holds_is_put_down_in_the_twin(
     monkeypatch.setattr(application.host.gate, "joints", lambda exposed, timeout_s: measured)
     monkeypatch.setattr(feature_module, "scene_of", lambda host, twin: to_message(scene))
     monkeypatch.setattr(Grip, "commanded", lambda self: 0.0)
-    told = previewed(application, "place", **{"height_m": 0.025, **asked})
+    told = simulated(application, "place", **{"height_m": 0.025, **asked})
     assert (told["outcome"], told["rule"]) == (outcome, rule)
     assert sent == []
     if outcome == "reached":
@@ -290,12 +296,12 @@ def test_what_the_hand_holds_is_put_down_in_the_twin(
         assert told["collides_with"] == ["red cube"]
 
 
-def test_a_twin_that_dies_ends_one_preview_and_not_the_server(
+def test_a_twin_that_dies_ends_one_simulation_and_not_the_server(
     application: Application, sent: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    feature = application.host.feature("preview", PreviewFeature)
+    feature = application.host.feature("simulate", SimulateFeature)
     turn = {"positions": {"fr3_joint1": 0.2}}
-    previewed(application, "move_joints", **turn)
+    simulated(application, "move_joints", **turn)
     first = feature._process
     assert first is not None
 
@@ -305,10 +311,10 @@ def test_a_twin_that_dies_ends_one_preview_and_not_the_server(
         type(first).advance(first, duration_s)
 
     monkeypatch.setattr(first, "advance", die)
-    answer = call(application, "move_joints", **turn, preview=True)
+    answer = call(application, "move_joints", **turn, simulate=True)
     assert answer.is_error
     assert "twin of the cell has ended" in answer.content[0].text
-    assert previewed(application, "move_joints", **turn)["outcome"] == "reached"
+    assert simulated(application, "move_joints", **turn)["outcome"] == "reached"
     second = feature._process
     assert second is not None
     assert second is not first
@@ -317,26 +323,65 @@ def test_a_twin_that_dies_ends_one_preview_and_not_the_server(
     assert sent == []
 
 
-@pytest.mark.parametrize(
-    ("tool", "arguments"),
-    [
-        ("move_ee", {"dx_m": 0.05}),
-        ("move_joints", {"positions": {"fr3_joint1": 0.2}}),
-        ("move_to", {"name": "home"}),
-        ("place", {"dx_m": 0.1}),
-        ("run_task", {"instruction": "pick up the red cube"}),
-        ("publish_joint_trajectory", {"message": TRAJECTORY}),
-    ],
-)
-def test_without_the_feature_a_call_with_preview_is_refused_and_never_carried_out(
-    application: Application,
-    sent: list[str],
-    monkeypatch: pytest.MonkeyPatch,
-    tool: str,
-    arguments: dict[str, Any],
+CALLS: dict[str, dict[str, Any]] = {
+    "move_ee": {"dx_m": 0.05},
+    "move_joints": {"positions": {"fr3_joint1": 0.2}},
+    "move_to": {"name": "home"},
+    "place": {"dx_m": 0.1},
+    "run_task": {"instruction": "pick up the red cube"},
+    "publish_joint_trajectory": {"message": TRAJECTORY},
+    "publish_joint_trajectory_sequence": {"steps": [{"message": TRAJECTORY}]},
+}
+"""A call of each tool that can be simulated."""
+
+
+def acting(application: Application) -> list[str]:
+    """Names of the tools that may change something."""
+    listed = application.tools.listing()
+    return [t.name for t in listed if t.annotations and not t.annotations.read_only_hint]
+
+
+@pytest.mark.parametrize("twin", ["on", "off", "dead"])
+def test_no_tool_that_acts_does_anything_in_a_simulated_call(
+    application: Application, sent: list[str], monkeypatch: pytest.MonkeyPatch, twin: str
+) -> None:
+    if twin == "off":
+        monkeypatch.setattr(application.tools.chain, "_simulator", None)
+    if twin == "dead":
+        lost = NotReadyError("The twin of the cell has ended.")
+        monkeypatch.setattr(SimulateFeature, "_twin", Mock(side_effect=lost))
+    names = [name for name in acting(application) if name != "emergency_stop"]
+    assert {*CALLS} <= {*names}
+    for name in names:
+        answer = call(application, name, simulate=True, **CALLS.get(name, {}))
+        if answer.is_error:
+            error = answer.meta["roboneuron/error"]
+            is_twins = "twin" in application.tools.get(name).simulated_by
+            assert error.get("rule") == "simulate" or (twin != "off" and is_twins), (name, error)
+        else:
+            assert answer.structured_content["simulated"] is True, name
+            assert name in CALLS
+    phases = {view.phase for view in application.host.modules.views()}
+    assert phases == {"stopped"}
+    assert sent == []
+
+
+@pytest.mark.parametrize("old", ["dry_run", "preview"])
+def test_the_old_names_simulate_and_are_said_to_be_old(
+    application: Application, sent: list[str], old: str
+) -> None:
+    answer = call(application, "move_joints", positions={"fr3_joint1": 0.2}, **{old: True})
+    assert answer.structured_content["simulated"] is True
+    assert old in answer.structured_content["deprecated"]
+    assert sent == []
+
+
+def test_without_a_twin_the_limits_answer(
+    application: Application, sent: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(application.tools.chain, "_simulator", None)
-    answer = call(application, tool, preview=True, **arguments)
-    assert answer.is_error
-    assert answer.meta["roboneuron/error"]["rule"] == "preview"
+    free = call(application, "move_joints", positions={"fr3_joint1": 0.2}, simulate=True)
+    near = call(application, "move_joints", positions={"fr3_joint1": -0.6}, simulate=True)
+    assert [a.structured_content["allowed"] for a in (free, near)] == [True, False]
+    assert "lamp" in near.structured_content["reason"]
     assert sent == []

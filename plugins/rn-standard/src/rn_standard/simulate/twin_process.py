@@ -1,6 +1,6 @@
-"""The process of a twin: what goes wrong in a physics engine ends a preview, not the server.
+"""The process of a twin: what goes wrong in a physics engine ends a simulation, not the server.
 
-`python -m rn_standard.preview.twin_process FD` answers the requests of its parent on a pipe until
+`python -m rn_standard.simulate.twin_process FD` answers the requests of its parent on a pipe until
 that is closed. It runs at a lower priority than control, and has the pipe alone.
 """
 
@@ -18,7 +18,7 @@ from typing import Any, TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from rn_standard.preview.twin import HasTwin, Twin
+from rn_standard.simulate.twin import HasTwin, Twin
 from roboneuron import (
     ActionChunk,
     Backend,
@@ -35,7 +35,7 @@ from roboneuron import (
 from roboneuron.feature import build
 
 M = TypeVar("M")
-COMMAND = (sys.executable, "-m", "roboneuron.hang_watch", "rn_standard.preview.twin_process")
+COMMAND = (sys.executable, "-m", "roboneuron.hang_watch", "rn_standard.simulate.twin_process")
 """Command line of a twin, to which the descriptor of its pipe is added."""
 _NICE = 5
 _LEAST_S = 0.05
@@ -117,7 +117,7 @@ class TwinProcess:
         return cast("NDArray[np.uint8]", self._ask("picture", camera, width, height))
 
     def close(self) -> None:
-        """See `Twin`; the process stays for the next preview."""
+        """See `Twin`; the process stays for the next simulation."""
         with suppress(NotReadyError):
             self._ask("close")
 

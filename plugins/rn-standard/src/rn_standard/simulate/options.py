@@ -1,4 +1,4 @@
-"""The section `[preview]` of roboneuron.toml."""
+"""The section `[simulate]` of roboneuron.toml."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from pydantic import Field
 from roboneuron import Section
 
 
-class PreviewOptions(Section):
-    """`[preview]`: calls with preview=true."""
+class SimulateOptions(Section):
+    """`[simulate]`: calls with simulate=true."""
 
     limit_s: float = Field(
         default=20.0, gt=0, le=60, description="longest time that one may take [s]"

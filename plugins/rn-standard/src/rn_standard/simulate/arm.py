@@ -8,8 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from rn_standard.direct_path.path_limits import Leg
-from rn_standard.preview.results import Survey
-from rn_standard.preview.twin import Twin
+from rn_standard.simulate.results import Survey
+from rn_standard.simulate.twin import Twin
 from rn_standard.tools_arm.prediction import answer_to
 from roboneuron import (
     F64,
@@ -31,7 +31,7 @@ _SETTLE_S = 3.0
 
 
 class TooLongError(Exception):
-    """The preview has used up its time."""
+    """The simulation has used up its time."""
 
 
 class TwinArm:
@@ -59,7 +59,7 @@ class TwinArm:
         controller, limiter: as control has them, and used by nobody else.
         profile: of the robot.
         survey: to be told of each posture.
-        end_s: monotonic time by which the preview has to be over [s].
+        end_s: monotonic time by which the simulation has to be over [s].
         """
         self.held = self.rule = ""
         self.survey = survey

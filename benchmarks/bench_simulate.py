@@ -1,16 +1,16 @@
-"""Predictions of previews, compared with the result in the simulated cell.
+"""Predictions of simulated calls, compared with the result in the simulated cell.
 
-    python benchmarks/bench_preview.py [--scenes 500] [--pushes 50] [--tasks 50] [--places 20]
+    python benchmarks/bench_simulate.py [--scenes 500] [--pushes 50] [--tasks 50] [--places 20]
         [--minutes 60]
-    python benchmarks/bench_preview.py --judge
+    python benchmarks/bench_simulate.py --judge
 
 A scene is a random posture of the FR3 among cubes, a lamp and a zone, and one call of move_ee or
 move_joints; a push is a move along the table, past a cube or against it; a task is run_task with a
 cube that may be missing; a place is place with a cube in the hand. Everything is drawn from its
-number. The call is made with preview=true, then without, at a server of `roboneuron serve` in real
-time. Each is a line of a ledger in the folder; an interrupted run can be resumed, and --judge
-prints the tables of existing results. A joint command sent during a preview would move the joints,
-so their motion is noted too.
+number. The call is made with simulate=true, then without, at a server of `roboneuron serve` in
+real time. Each is a line of a ledger in the folder; an interrupted run can be resumed, and --judge
+prints the tables of existing results. A joint command sent during a simulation would move the
+joints, so their motion is noted too.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ WORDS = {
 
 
 def kind_of(outcome: str, rule: str, text: str) -> str:
-    """One word for the end of a motion, for previews and calls alike."""
+    """One word for the end of a motion, for simulated calls and calls alike."""
     if outcome == "reached":
         return outcome
     named = next((word for said, word in WORDS.items() if said in text), rule or "short")
@@ -165,9 +165,9 @@ def drawn_call(chance: random.Random, tcp: list[float]) -> tuple[str, dict[str, 
 
 
 async def compare(cell: Cell, tool: str, arguments: dict[str, Any]) -> dict[str, Any]:
-    """The preview of a call, and then the call."""
+    """The simulation of a call, and then the call."""
     before, cubes = await cell.joints(), await cell.cubes()
-    told = await cell.must(tool, **arguments, preview=True)
+    told = await cell.must(tool, **arguments, simulate=True)
     after = await cell.joints()
     began_s = time.monotonic()
     happened = await cell.ask(tool, arguments)
@@ -182,7 +182,7 @@ async def compare(cell: Cell, tool: str, arguments: dict[str, Any]) -> dict[str,
         "happened": ended,
         "text": happened.content[0].text[:300] if happened.is_error else "",
         "reason": told["reason"][:300],
-        "moved_in_preview_rad": max(abs(after[name] - before[name]) for name in ARM_JOINTS),
+        "moved_in_simulation_rad": max(abs(after[name] - before[name]) for name in ARM_JOINTS),
         "promised_m": told["position_m"],
         "happened_m": await cell.tcp(),
         "promised_cubes": sorted(told["collides_with"]),
@@ -190,7 +190,7 @@ async def compare(cell: Cell, tool: str, arguments: dict[str, Any]) -> dict[str,
             f"{name} cube" for name, at in cubes.items() if math.dist(at, now[name]) > MOVED_M
         ),
         "motion_s": told["duration_s"],
-        "preview_s": told["took_s"],
+        "simulated_s": told["took_s"],
         "took_s": took_s,
     }
 
@@ -213,7 +213,7 @@ async def play_scene(cell: Cell, number: int) -> dict[str, Any]:
     """Make a random call from a random posture."""
     if cell.seed != number // CUBES_EVERY:
         await cell.restart(number // CUBES_EVERY)
-    chance = random.Random(f"preview {number}")
+    chance = random.Random(f"simulation {number}")
     for _ in range(ATTEMPTS):
         answer = await cell.ask("move_joints", {"positions": drawn_posture(chance)})
         if not answer.is_error:
@@ -347,14 +347,14 @@ def judge(what: str, rows: list[dict[str, Any]]) -> None:
             median, last = percentile(values, 0.5), percentile(values, 0.99)
             console.print(f"TCP at the end, {name}: median {median:.2f} mm, p99 {last:.2f} mm")
     moving = [row for row in rows if row["motion_s"] > 0.0]
-    ratios = [row["took_s"] / row["preview_s"] for row in moving]
-    times = [row["preview_s"] for row in rows]
+    ratios = [row["took_s"] / row["simulated_s"] for row in moving]
+    times = [row["simulated_s"] for row in rows]
     console.print(
-        f"preview: median {percentile(times, 0.5):.2f} s, p99 {percentile(times, 0.99):.2f} s; "
+        f"simulation: median {percentile(times, 0.5):.2f} s, p99 {percentile(times, 0.99):.2f} s; "
         f"{percentile(ratios, 0.5):.1f} times as fast as the call (median of those that move)"
     )
-    moved = max(row["moved_in_preview_rad"] for row in rows)
-    console.print(f"joints moved during a preview: at most {moved:.1e} rad")
+    moved = max(row["moved_in_simulation_rad"] for row in rows)
+    console.print(f"joints moved during a simulation: at most {moved:.1e} rad")
 
 
 def main() -> None:
@@ -365,7 +365,7 @@ def main() -> None:
     parser.add_argument("--tasks", type=int, default=50)
     parser.add_argument("--places", type=int, default=20, help="of a cube in the hand")
     parser.add_argument("--minutes", type=float, default=60.0, help="longest time of this run")
-    parser.add_argument("--folder", type=Path, default=Path("out/bench-preview"))
+    parser.add_argument("--folder", type=Path, default=Path("out/bench-simulate"))
     parser.add_argument("--judge", action="store_true", help="only print what is there")
     options = parser.parse_args()
     folder = options.folder.resolve()

@@ -3,7 +3,7 @@
 import pytest
 
 from rn_standard.direct_path.plugin import FEATURE as DIRECT_PATH
-from rn_standard.preview.plugin import FEATURE
+from rn_standard.simulate.plugin import FEATURE
 from rn_standard.tools_arm.plugin import FEATURE as TOOLS_ARM
 from rn_testing import FeatureCase, FeatureContract, PackageCase, PackageContract
 
@@ -17,4 +17,4 @@ class TestPreview(FeatureContract):
 class TestPackage(PackageContract):
     @pytest.fixture
     def plugin(self) -> PackageCase:
-        return PackageCase(distribution="rn-standard", plugin="rn-preview")
+        return PackageCase(distribution="rn-standard", plugin="rn-simulate")

@@ -7,8 +7,8 @@ import time
 
 import pytest
 
-from rn_standard.preview import twin_process
-from rn_standard.preview.twin_process import TwinProcess
+from rn_standard.simulate import twin_process
+from rn_standard.simulate.twin_process import TwinProcess
 from roboneuron import DriverSpec, NotReadyError, RobotProfile
 
 WAYS = {

@@ -1,4 +1,4 @@
-"""What a preview answers, and what is looked at on the way."""
+"""What a simulated call answers, and what is looked at on the way."""
 
 from __future__ import annotations
 
@@ -25,14 +25,15 @@ class Nearest(Result):
     at_s: float
 
 
-class PreviewResult(Result):
+class Simulated(Result):
     """What would happen; nothing moved."""
 
-    preview: bool = True
+    simulated: bool = True
     tool: str
+    allowed: bool = Field(description="it would come to its end: `outcome` is reached")
     outcome: Outcome = Field(
         description="reached; refused: before it moves, by `rule`; stopped: on the way, by `rule`; "
-        "blocked: by contact; unclear: the preview took too long, or a task cannot be judged"
+        "blocked: by contact; unclear: the simulation took too long, or a task cannot be judged"
     )
     rule: str = Field(
         default="", description="as refusals name it, the controller's code, or a task's outcome"
@@ -52,7 +53,7 @@ class PreviewResult(Result):
     now: str = Field(
         default="", description="why the call itself would be refused at present; empty: it is not"
     )
-    took_s: float = Field(description="of the preview")
+    took_s: float = Field(description="of the simulation")
 
 
 @runtime_checkable

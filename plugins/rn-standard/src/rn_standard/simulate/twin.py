@@ -71,13 +71,19 @@ def driver_of(host: Host) -> tuple[DriverSpec, Mapping[str, object]]:
     driver = next((one for one in spec.drivers if one.simulated), None)
     if driver is None:
         raise NotReadyError(
-            f"There is no simulated twin of {robot.name!r}: it cannot be previewed.",
-            hint="Use dry_run, which computes the way and its limits without a simulation.",
+            f"There is no simulated twin of {robot.name!r}: the way cannot be simulated.",
+            hint="move_ee and move_joints answer simulate=true by the limits alone.",
         )
     configured = spec.driver(robot.driver)
     # the options of a real driver are not those of the simulated one
     is_same = configured is not None and configured.config == driver.config
     return driver, host.config.options(robot.name) if is_same else {}
+
+
+def has_twin(host: Host) -> bool:
+    """Whether the present robot has a simulated driver."""
+    spec = host.registry.get(RobotSpec, host.config.robot.name)
+    return any(driver.simulated for driver in spec.drivers)
 
 
 def scene_of(host: Host, twin: Twin) -> object | None:

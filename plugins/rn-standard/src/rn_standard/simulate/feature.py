@@ -1,4 +1,4 @@
-"""The feature: previews of calls that move the arm."""
+"""The feature: calls that move the arm, carried out by a twin instead."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rn_standard.preview.arm import TooLongError, TwinArm
-from rn_standard.preview.options import PreviewOptions
-from rn_standard.preview.results import Outcome, PreviewResult, Survey
-from rn_standard.preview.session import MODELS, EndedError, Session, arm_endpoint, paths_of
-from rn_standard.preview.task import policy_of
-from rn_standard.preview.twin import Twin, driver_of, scene_of
-from rn_standard.preview.twin_process import TwinProcess
+from rn_standard.simulate.arm import TooLongError, TwinArm
+from rn_standard.simulate.options import SimulateOptions
+from rn_standard.simulate.results import Outcome, Simulated, Survey
+from rn_standard.simulate.session import MODELS, EndedError, Session, arm_endpoint, paths_of
+from rn_standard.simulate.task import policy_of
+from rn_standard.simulate.twin import Twin, driver_of, has_twin, scene_of
+from rn_standard.simulate.twin_process import TwinProcess
 from rn_standard.tasks.run_task import RunTask
 from rn_standard.tools_arm.ee_move import MoveEndEffector
 from rn_standard.tools_arm.placing import PlaceArguments
@@ -38,24 +38,24 @@ from roboneuron import (
 )
 from roboneuron.feature import AuditRecord, MotionLimiter, Role, Shape, Simulator
 
-NAME = "preview"
+NAME = "simulate"
 _JOINTS_S = 2.0
 _START_S = 30.0
 """Longest start of the process, which imports a physics engine."""
 _GRACE_S = 3.0
-"""So much later than the preview's own bound a twin that does not answer is killed."""
+"""So much later than the simulation's own bound a twin that does not answer is killed."""
 _SIZE_PX = (320, 240)
 
 
-class PreviewArguments(Arguments):
-    """Arguments of preview."""
+class SimulateArguments(Arguments):
+    """Arguments of simulate."""
 
     tool: str
     arguments: dict[str, object]
 
 
-class PreviewFeature(Feature[PreviewOptions]):
-    """Answers calls with preview=true from a twin of the cell. It sends nothing, and has no
+class SimulateFeature(Feature[SimulateOptions]):
+    """Answers calls with simulate=true from a twin of the cell. It sends nothing, and has no
     publisher.
     """
 
@@ -68,11 +68,11 @@ class PreviewFeature(Feature[PreviewOptions]):
         return [
             Tool(
                 name=NAME,
-                title="Preview a motion",
+                title="Simulate a motion",
                 description="What a call that moves the arm would do, in a simulated twin.",
-                arguments=PreviewArguments,
-                result=PreviewResult,
-                handler=self._preview,
+                arguments=SimulateArguments,
+                result=Simulated,
+                handler=self._simulate,
                 read_only=True,
                 idempotent=True,
                 listed=False,
@@ -81,7 +81,7 @@ class PreviewFeature(Feature[PreviewOptions]):
 
     def simulator(self, host: Host) -> Simulator:
         """See `Feature.simulator`."""
-        return Simulator(tool=NAME, can=_can)
+        return Simulator(tool=NAME, is_there=lambda: has_twin(host))
 
     def close(self) -> None:
         """End the process of the twin."""
@@ -89,11 +89,11 @@ class PreviewFeature(Feature[PreviewOptions]):
             self._process.end()
             self._process = None
 
-    async def _preview(self, arguments: PreviewArguments, context: CallContext) -> Reply:
+    async def _simulate(self, arguments: SimulateArguments, context: CallContext) -> Reply:
         """Raises InvalidInputError, NotReadyError, RefusedError."""
         tool = self._host.tools.get(arguments.tool)
         if tool is None or not _can(tool):
-            raise InvalidInputError(f"{arguments.tool[:64]!r} cannot be previewed.", path="tool")
+            raise InvalidInputError(f"{arguments.tool[:64]!r} cannot be simulated.", path="tool")
         parsed = tool.parsed(arguments.arguments)
         if isinstance(parsed, RunTask):
             policy_of(self._host)
@@ -104,7 +104,7 @@ class PreviewFeature(Feature[PreviewOptions]):
     def _work(self, tool: Tool[Any], parsed: object, context: CallContext) -> Reply:
         began_s = time.monotonic()
         if not self._one.acquire(timeout=self.options.limit_s):
-            raise NotReadyError("Another preview takes all the time.", hint="Call again.")
+            raise NotReadyError("Another simulation takes all the time.", hint="Call again.")
         try:
             return self._in_twin(tool, parsed, context, began_s)
         finally:
@@ -141,9 +141,9 @@ class PreviewFeature(Feature[PreviewOptions]):
             scene = scene_of(host, twin) if self.options.objects else None
             if isinstance(parsed, RunTask | PlaceArguments) and scene is None:
                 raise RefusedError(
-                    f"{tool.name} can be previewed in a simulated cell that runs: elsewhere it is "
+                    f"{tool.name} can be simulated in a simulated cell that runs: elsewhere it is "
                     "not known what stands where.",
-                    hint="Preview single motions: move_ee, move_joints, move_to.",
+                    hint="Simulate single motions: move_ee, move_joints, move_to.",
                     rule=NAME,
                 )
             open_.callback(twin.close)
@@ -158,8 +158,9 @@ class PreviewFeature(Feature[PreviewOptions]):
             named = getattr(parsed, "arm", "")
             pose = arm.poses()[names.index(named) if named in names else 0]
             there = twin.joints()
-            result = PreviewResult(
+            result = Simulated(
                 tool=tool.name,
+                allowed=outcome == "reached",
                 outcome=outcome,
                 rule=rule,
                 reason=reason,
@@ -186,14 +187,14 @@ class PreviewFeature(Feature[PreviewOptions]):
             return error.outcome, error.rule, str(error)
         except TooLongError:
             reason = (
-                f"The preview took longer than {self.options.limit_s:g} s; it has come to "
+                f"The simulation took longer than {self.options.limit_s:g} s; it has come to "
                 f"{session.arm.passed_s:.1f} s of the motion."
             )
             return "unclear", "", reason
         return "reached", "", ""
 
     def _twin(self, profile: RobotProfile) -> TwinProcess:
-        """The process of the last preview, or another one. Raises NotReadyError."""
+        """The process of the last simulation, or another one. Raises NotReadyError."""
         spec, options = driver_of(self._host)
         last = self._process
         if last is not None and last.is_alive and last.key == (spec, repr(options)):
@@ -227,9 +228,9 @@ class PreviewFeature(Feature[PreviewOptions]):
             return str(error)
         return ""
 
-    def _note(self, arguments: PreviewArguments, result: object, context: CallContext) -> None:
+    def _note(self, arguments: SimulateArguments, result: object, context: CallContext) -> None:
         """Write it down; a full disk keeps nobody from looking."""
-        assert isinstance(result, PreviewResult)
+        assert isinstance(result, Simulated)
         record = AuditRecord(
             who=context.who,
             role=context.role,
@@ -237,7 +238,7 @@ class PreviewFeature(Feature[PreviewOptions]):
             robot=self._host.config.robot.name,
             verdict="would_allow" if result.outcome == "reached" else "would_refuse",
             rule=result.rule,
-            reason=f"preview: {result.outcome}. {result.reason}"[:500],
+            reason=f"simulated: {result.outcome}. {result.reason}"[:500],
             arguments=arguments.arguments,
         )
         with suppress(RefusedError):

@@ -1,1 +1,0 @@
-"""Previews: calls that move the arm, carried out in a simulated twin of the cell."""
