@@ -17,6 +17,7 @@ import pytest
 from mcp import Client, StdioServerParameters, types
 from mcp.client.stdio import stdio_client
 
+from rn_simulation import ground_truth
 from rn_testing.domain import free_ros_domain
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow, pytest.mark.timing, pytest.mark.timeout(400)]
@@ -42,6 +43,7 @@ LIFTED = {
 async def server(folder: Any, monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[Client]:
     monkeypatch.setenv("ROS_DOMAIN_ID", str(free_ros_domain()))
     monkeypatch.setenv("XDG_STATE_HOME", str(folder))
+    monkeypatch.setenv(ground_truth.SWITCH, "on")
     parameters = StdioServerParameters(
         command=sys.executable, args=["-m", "roboneuron.cli.main", "serve"], env=dict(os.environ)
     )
