@@ -31,6 +31,7 @@ from websockets.sync.client import ClientConnection, connect
 
 from rn_backend_openpi.case import Reflex, serving
 from rn_backend_openpi.options import OpenpiOptions
+from rn_testing.waiting import is_closed
 from roboneuron import ActionChunk, Observation
 
 
@@ -192,17 +193,6 @@ def test_random_bytes_before_the_handshake_disturb_nobody() -> None:
         assert ask(good)["actions"].shape == (4, 7)
 
 
-def _is_closed(plain: socket.socket) -> bool:
-    """True if the other end has closed; returns at once."""
-    plain.settimeout(0.5)
-    try:
-        return plain.recv(1) == b""
-    except ConnectionResetError:
-        return True
-    except TimeoutError:
-        return False
-
-
 def test_many_who_say_nothing_keep_nobody_out(monkeypatch: pytest.MonkeyPatch) -> None:
     # so that none of them times out before the others are answered
     monkeypatch.setattr("rn_backend_openpi.server._HANDSHAKE_S", 120.0)
@@ -217,7 +207,7 @@ def test_many_who_say_nothing_keep_nobody_out(monkeypatch: pytest.MonkeyPatch) -
         assert ask(late)["actions"].shape == (4, 7)
         assert ask(good)["actions"].shape == (4, 7)
         # only as many as the bound are kept, the newest ones
-        assert [_is_closed(stranger) for stranger in strangers[:200]] == [True] * 200
+        assert [is_closed(stranger, 0.5) for stranger in strangers[:200]] == [True] * 200
 
 
 class Wide(Reflex):

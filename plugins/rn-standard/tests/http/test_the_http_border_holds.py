@@ -15,7 +15,7 @@ from typing import Any
 
 import httpx2
 import pytest
-from wire_server import HELLO, PAGE, TABLE, TOKENS, Server, answer_of, bearer, is_closed, serving
+from wire_server import HELLO, PAGE, TABLE, TOKENS, Server, answer_of, bearer, serving
 
 from rn_standard.http import connections
 from rn_standard.http.connections import BODY_S, HEADERS_S, ConnectionTable
@@ -25,7 +25,7 @@ from rn_standard.http.origins import HostRules
 from rn_standard.http.peers import peer_process
 from rn_standard.http.server import listen, make_server
 from rn_standard.http.tokens import TokenTable
-from rn_testing.waiting import wait_until
+from rn_testing.waiting import is_closed, wait_until
 from roboneuron.server.app import Application
 from roboneuron.server.host import Events
 

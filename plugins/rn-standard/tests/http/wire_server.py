@@ -101,13 +101,3 @@ def serving(
         finally:
             server.should_exit = True
             thread.join(20)
-
-
-def is_closed(connection: socket.socket, timeout_s: float) -> bool:
-    connection.settimeout(timeout_s)
-    try:
-        return connection.recv(1) == b""
-    except ConnectionResetError:
-        return True
-    except TimeoutError:
-        return False

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import time
 from collections.abc import Callable, Iterable
 
@@ -54,3 +55,16 @@ def wait_for_line(output: Iterable[str] | None, words: str) -> str:
             return line
         lines.append(line)
     raise AssertionError(f"the output ended without {words!r}: {lines}")
+
+
+def is_closed(connection: socket.socket, timeout_s: float = 20.0) -> bool:
+    """Whether the other end closes it within `timeout_s`; a reset says so too, when the other end
+    had something left to read.
+    """
+    connection.settimeout(timeout_s)
+    try:
+        return connection.recv(1) == b""
+    except ConnectionResetError:
+        return True
+    except TimeoutError:
+        return False
