@@ -87,7 +87,7 @@ async def measure(
                 answer = await client.call_tool("publish_velocity", arguments)
             else:
                 answer = await client.call_tool(
-                    "call_endpoint", {"tool": "publish_velocity", "arguments": arguments}
+                    "call_tool", {"tool": "publish_velocity", "arguments": arguments}
                 )
             ended = time.monotonic_ns()
             assert not answer.is_error, answer.content

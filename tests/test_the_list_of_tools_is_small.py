@@ -9,10 +9,11 @@ import jsonschema
 from mcp import Client, types
 
 from roboneuron.config import load_config
+from roboneuron.gate.roles import Role
 from roboneuron.plugins.discovery import discover
 from roboneuron.server.app import Application
 
-MOST_BYTES = 40_000
+MOST_BYTES = 32_000
 """Bound for the default configuration with the packages of `[standard]` (including recorder and
 view) and a robot.
 """
@@ -26,17 +27,17 @@ OPTIONAL = (
 """Packages with their own tools, backends or robots, installed in addition to the standard ones."""
 
 
-def test_the_list_of_tools_is_at_most_40_kb() -> None:
+def test_the_list_of_tools_is_at_most_32_kb() -> None:
     standard = load_config(registry=discover()).model_copy(update={"disabled_plugins": OPTIONAL})
     application = Application(standard)
     try:
-        listing = types.ListToolsResult(tools=application.tools.listing())
+        listing = types.ListToolsResult(tools=application.tools.short_listing(Role.ADMIN))
     finally:
         application.close()
     names = {tool.name for tool in listing.tools}
     assert {
         "start_inference",
-        "switch_inference",
+        "find_tools",
         "publish_joint_trajectory",
         "move_ee",
         "get_status",

@@ -35,7 +35,7 @@ def test_a_client_on_stdio_takes_over_and_renews_its_lease(make: Make) -> None:
     async def scenario() -> list[Any]:
         async with Client(application.server) as client:
             names = {tool.name for tool in (await client.list_tools()).tools}
-            assert {"take_over", "heartbeat"} <= names
+            assert "take_over" in names
             return [
                 (await client.call_tool(name, {})).structured_content
                 for name in ("take_over", "heartbeat")

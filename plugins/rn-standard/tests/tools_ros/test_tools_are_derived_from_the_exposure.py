@@ -246,7 +246,7 @@ def test_too_many_tools_are_found_by_search_and_called_by_name(make_application:
     )
     application = make_application('[robot]\nname = "rover"\n' + entries)
     listed = tools(application)
-    assert {"find_tools", "call_endpoint"} <= set(listed)
+    assert {"find_tools", "call_tool"} <= set(listed)
     assert "publish_wheel_7" not in listed
     assert len(listed) < 40
 
@@ -256,17 +256,17 @@ def test_too_many_tools_are_found_by_search_and_called_by_name(make_application:
                 await client.call_tool("find_tools", {"query": "wheel 137", "schemas": True})
             ).structured_content
             assert found["tools"][0]["name"] == "publish_wheel_137"
-            assert found["total"] == 400
+            assert found["total"] >= 400
             arguments = {"message": {"linear": {"x": "fast"}}}
             for name, call in (
-                ("call_endpoint", {"tool": "publish_wheel_137", "arguments": arguments}),
+                ("call_tool", {"tool": "publish_wheel_137", "arguments": arguments}),
                 ("publish_wheel_137", arguments),
             ):
                 answer = await client.call_tool(name, call)
                 assert answer.is_error
                 assert "linear.x" in answer.content[0].text  # type: ignore[union-attr]
             missing = await client.call_tool(
-                "call_endpoint", {"tool": "publish_whel_137", "arguments": {}}
+                "call_tool", {"tool": "publish_whel_137", "arguments": {}}
             )
             assert missing.is_error
 

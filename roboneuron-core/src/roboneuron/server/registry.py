@@ -30,6 +30,7 @@ from roboneuron.server.call_chain import (
 from roboneuron.server.interception import EndedCall, IncomingCall
 from roboneuron.server.schema import listed_output
 from roboneuron.server.tool import CallContext, Tool
+from roboneuron.server.tool_search import CALL_TOOL, nearest_tools
 
 _FIXED = ""
 """Owner of the tools that were added; the others are derived."""
@@ -125,6 +126,26 @@ class ToolRegistry:
             if entry.tool.listed and entry.tool.offered() and entry.tool.least_role.is_held_by(role)
         ]
 
+    def short_listing(self, role: str) -> list[types.Tool]:
+        """The listing of a role without rarely needed tools, if they can be found by search."""
+        if CALL_TOOL not in self._owned[_FIXED]:
+            return self.listing(role)
+        seldom = {tool.name for tool in self.hidden(role)}
+        return [tool for tool in self.listing(role) if tool.name not in seldom]
+
+    def hidden(self, role: str) -> list[Tool[Any]]:
+        """Tools that clients of a role may call and are not in its short listing: rarely needed
+        ones, and derived ones that are too many to be listed.
+        """
+        return [
+            entry.tool
+            for owner, entries in self._owned.items()
+            for entry in entries.values()
+            if _is_hidden(entry.tool, is_derived=owner != _FIXED)
+            and entry.tool.offered()
+            and entry.tool.least_role.is_held_by(role)
+        ]
+
     def get(self, name: str, *, is_derived: bool = False) -> Tool[Any] | None:
         """Return the tool of that name, listed or not, or only a derived one. Constant time in the
         number of tools.
@@ -158,6 +179,11 @@ class ToolRegistry:
         """Pass a call through the chain and answer it; every failure becomes an MCP error result,
         except UnfinishedCallError.
         """
+        try:
+            if name == CALL_TOOL:
+                name, arguments = self._named(arguments, context.role)
+        except RoboNeuronError as error:
+            return self.failure(error)
         call = IncomingCall(name=name, arguments=arguments, context=context, found=self.get(name))
         try:
             answer = await self.chain.run(call)
@@ -178,6 +204,28 @@ class ToolRegistry:
         ]
         return types.CallToolResult(content=content, structured_content=dict(answer.structured))
 
+    def _named(self, arguments: Mapping[str, Any], role: str) -> tuple[str, Mapping[str, Any]]:
+        """The tool that a call of call_tool names, and its arguments, so that the chain judges that
+        tool. Raises InvalidInputError for one that is listed: a client's person may have agreed to
+        call_tool, and not to that one.
+        """
+        caller = self.get(CALL_TOOL)
+        if caller is None:  # the chain says that there is no such tool
+            return CALL_TOOL, arguments
+        asked = caller.parsed(arguments)
+        hidden = self.hidden(Role.ADMIN)
+        if asked.tool in {tool.name for tool in hidden}:
+            return asked.tool, asked.arguments
+        if asked.tool != CALL_TOOL and self.get(asked.tool) is not None:
+            raise InvalidInputError(
+                f"{asked.tool} is in the list of tools.", hint="Call it directly.", path="tool"
+            )
+        raise InvalidInputError(
+            f"There is no such tool {asked.tool[:80]!r} to be found.",
+            hint=nearest_tools(hidden, asked.tool),
+            path="tool",
+        )
+
     @staticmethod
     def failure(error: RoboNeuronError) -> types.CallToolResult:
         """Return the answer to a failed call."""
@@ -195,6 +243,10 @@ class ToolRegistry:
             _meta={ERROR_META: details},
             is_error=True,
         )
+
+
+def _is_hidden(tool: Tool[Any], *, is_derived: bool) -> bool:
+    return tool.seldom if tool.listed else is_derived
 
 
 class _ListedTool:

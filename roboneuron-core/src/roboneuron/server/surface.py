@@ -126,7 +126,9 @@ def make_server(surface: Served, name: str) -> AnnouncingServer:
     async def list_tools(
         context: ServerRequestContext[Any, Any], params: types.PaginatedRequestParams | None
     ) -> types.ListToolsResult:
-        return types.ListToolsResult(tools=surface.tools.listing(holder_of(context.request).role))
+        return types.ListToolsResult(
+            tools=surface.tools.short_listing(holder_of(context.request).role)
+        )
 
     async def call_tool(
         context: ServerRequestContext[Any, Any], params: types.CallToolRequestParams
@@ -210,7 +212,8 @@ _INSTRUCTIONS = {
     "emergency_stop is for danger: "
     "only a person releases it.",
     "move_ee": "move_*, publish_*, call_* and send_*_goal move the robot directly, but not while "
-    "a policy runs.",
+    "a policy has an instruction.",
+    "stop_motion": "stop_motion ends whatever moves, and latches nothing.",
 }
 """Instruction texts for clients by tool, in this order."""
 _EVERYWHERE = (

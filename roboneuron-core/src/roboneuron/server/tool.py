@@ -198,12 +198,11 @@ class Tool(Generic[A]):
         destructive: it may end or undo something.
         idempotent: a second call changes nothing more.
         open_world: affects what this server does not control (including the physical world).
-        listed: in tools/list; other tools can be called by name. Of these, find_tools finds only
-            derived ones.
+        listed: may be in tools/list; other tools can be called by name. Of these, find_tools finds
+            only derived ones.
         offered: returns True if it applies to the present robot, evaluated for each listing; it can
             be called by name in any case.
-        seldom: rarely needed; a server of several robots may omit it from its list and leave it to
-            the search.
+        seldom: rarely needed; left out of tools/list, and found by find_tools.
         choices: argument name -> function that returns {choice: summary}, called for each listing.
         role: required role; if empty, viewers may call read-only tools and operators all others.
         always: it stops something, and is exempt from the limit of concurrent calls.

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from roboneuron.feature import Application
 
 T = TypeVar("T")
+_OF_ONE = frozenset({"find_tools", "call_tool"})
+"""Tools of a robot's own list, in whose place are those of all robots."""
 
 
 class RobotContext:
@@ -104,7 +106,7 @@ class FleetTools(ToolRegistry):
         return [
             merged_tool(shown, namespaces, required=len(self._robots) > 1)
             for name, shown in by_name.items()
-            if self.get(name) is None
+            if self.get(name) is None and name not in _OF_ONE
         ]
 
     async def call(

@@ -223,5 +223,6 @@ class OperatorLease:
                 result=OperatorResult,
                 handler=heartbeat,
                 idempotent=True,
+                seldom=True,
             ),
         ]

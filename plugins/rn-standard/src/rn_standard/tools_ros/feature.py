@@ -9,7 +9,6 @@ from contextlib import suppress
 from dataclasses import replace
 
 from rn_standard.tools_ros.derive import derive_tools
-from rn_standard.tools_ros.directory import directory_tools
 from rn_standard.tools_ros.discovered_limits import check_patterns
 from rn_standard.tools_ros.discovery import LiveGraph
 from rn_standard.tools_ros.exposing import Admin, ExposureChange, exposing_tools
@@ -34,7 +33,6 @@ from roboneuron.feature import AuditRecord, Config, ExposedEndpoint, load_profil
 
 log = logging.getLogger(__name__)
 _END_S = 2.0
-_DIRECTORY = frozenset({"find_tools", "call_endpoint"})
 Use = tuple[str, str, str]
 """Robot, label and kind of an endpoint."""
 
@@ -234,17 +232,10 @@ class RosTools(Feature[RosToolsOptions]):
             *taken,
             *(tool.name for tool in settings),
         }
-        derived = derive_tools(endpoints, self._host, names | _DIRECTORY)
+        derived = derive_tools(endpoints, self._host, names)
         if len(derived) <= self.options.direct.listed_tools:
             return [*settings, *derived]
-        unlisted = [replace(tool, listed=False) for tool in derived]
-        return [*settings, *directory_tools(self._searched, self._found), *unlisted]
-
-    def _searched(self) -> list[Tool]:
-        return [tool for tool in self._host.tools.derived() if tool.name not in _DIRECTORY]
-
-    def _found(self, name: str) -> Tool | None:
-        return None if name in _DIRECTORY else self._host.tools.get(name, is_derived=True)
+        return [*settings, *(replace(tool, listed=False) for tool in derived)]
 
     def _profile(self, robot: str) -> RobotProfile | None:
         registry = self._host.registry

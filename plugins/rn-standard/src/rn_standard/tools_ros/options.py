@@ -90,7 +90,7 @@ class ExposeConfig(Section):
         default=True, description="without a subscriber a message is an error"
     )
     moves: bool = Field(
-        default=True, description="false: it moves nothing and may be used while a policy runs"
+        default=True, description="false: it moves nothing and may be used while a policy acts"
     )
 
 
@@ -135,7 +135,7 @@ class DirectConfig(Section):
     profile: bool = Field(default=True, description="expose the endpoints of the robot's profile")
     listed_tools: Annotated[int, Field(ge=0, le=10000)] = Field(
         default=100,
-        description="more derived tools than this are reached by find_tools and call_endpoint",
+        description="more derived tools than this are reached by find_tools and call_tool",
     )
     expose_without_token: bool = Field(
         default=False,
