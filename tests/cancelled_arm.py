@@ -22,6 +22,7 @@ from roboneuron.config import default_text
 sys.path.pop(0)
 
 WINDOW_S, STILL_RAD, MOVES_RAD = 0.3, 0.003, 0.01
+RESTS_RAD, PUSH_M_S = 5e-4, 0.05
 LEAST_SAMPLES = 5
 INSTRUCTION = "pick up the red cube"
 NEVER = {"kind": "tcp_in", "lower_m": [9, 9, 9], "upper_m": [10, 10, 10]}
@@ -96,6 +97,8 @@ class Arm:
             "XDG_STATE_HOME": str(folder),
             "ROBONEURON_RECORDER": "on",
         }
+        self._published = 0
+        self._pushes, self._releases = threading.Event(), threading.Event()
         self._seen: deque[tuple[float, list[float]]] = deque(maxlen=200)
         self._context = rclpy.Context()
         rclpy.init(context=self._context, domain_id=domain)
@@ -103,7 +106,6 @@ class Arm:
         self._node.create_subscription(JointState, "joint_states", self._take, 50)
         self._twists = self._node.create_publisher(TwistStamped, "/lead/twist", 1)
         self._twist = TwistStamped()
-        self._twist.twist.linear.z = 0.05
         self._node.create_timer(0.02, self._push)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
@@ -111,7 +113,6 @@ class Arm:
         self._thread.start()
         self._stack = ExitStack()
         self._serves = ""
-        self._pushes = threading.Event()
         self.files: list[str] = []
         self.steward: Any = None
         self.client: Any = None
@@ -120,16 +121,26 @@ class Arm:
         self._seen.append((time.monotonic(), list(message.position)))
 
     def _push(self) -> None:
-        if self._pushes.is_set():
+        if self._pushes.is_set() or self._releases.is_set():
+            self._twist.twist.linear.z = PUSH_M_S if self._pushes.is_set() else 0.0
             self._twist.header.stamp = self._node.get_clock().now().to_msg()
             self._twists.publish(self._twist)
+            self._published += 1
 
     def push(self, is_pushed: bool) -> None:
-        """A person pushes a device upwards, or lets go."""
+        """A person pushes a device upwards, or lets go of it."""
+        self._releases.clear()
         if is_pushed:
             self._pushes.set()
         else:
             self._pushes.clear()
+
+    def release(self) -> None:
+        """A person holds a device, and presses nothing yet; returns when that was received."""
+        self._releases.set()
+        wait_until(self._twists.get_subscription_count, 10.0, "the lead listens to the device")
+        published = self._published
+        wait_until(lambda: self._published > published + 20, 10.0, "the device is heard")
 
     def _travel(self) -> float | None:
         """Largest change of a joint within a window that ends now, or with the last measurement of
@@ -153,6 +164,17 @@ class Arm:
     def moves(self) -> bool:
         """The arm is measured in motion."""
         return (self._travel() or 0.0) > MOVES_RAD
+
+    def rested_after_s(self, since_s: float) -> float:
+        """How long a joint still moved after a time [monotonic s]; the arm rests now [s]."""
+        seen = tuple(self._seen)
+        rest = seen[-1][1]
+        moved = [
+            at_s - since_s
+            for at_s, positions in seen
+            if max(abs(one - there) for one, there in zip(positions, rest, strict=True)) > RESTS_RAD
+        ]
+        return max(0.0, *moved)
 
     def use(
         self, transport: str, version: str, way: Way, call: str = ""

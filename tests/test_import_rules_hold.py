@@ -45,6 +45,7 @@ may import all.
 ROOMS_OF_FILES = {
     "estop.emergency": "estop.server",
     "estop.motion_starts": "estop.server",
+    "estop.motion_stop": "estop.server",
     "estop.command": "cli",
 }
 """Files that count as part of another package than their folder's."""

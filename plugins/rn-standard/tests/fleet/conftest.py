@@ -15,6 +15,8 @@ from rn_standard.fleet.fleet import Fleet
 from rn_standard.fleet.plugin import FEATURE
 from rn_standard.http.plugin import FEATURE as HTTP
 from rn_standard.ops.plugin import CLIENTS
+from rn_standard.tools_arm.plugin import FEATURE as ARM
+from rn_standard.tools_arm.plugin import STOP_MOTION
 from rn_standard.tools_ros.plugin import FEATURE as ROS_TOOLS
 from rn_testing.fakes import fake_registry
 from roboneuron.config import parse_config
@@ -34,7 +36,7 @@ Call = Callable[..., types.CallToolResult]
 def make_fleet(tmp_path: Path) -> Iterator[Callable[[str], Fleet]]:
     """Return a function that makes a fleet from a configuration; nothing may be spawned."""
     fleets: list[Fleet] = []
-    registry = fake_registry(FEATURE, CLIENTS, DIRECT_PATH, HTTP, ROS_TOOLS)
+    registry = fake_registry(FEATURE, CLIENTS, DIRECT_PATH, HTTP, ARM, STOP_MOTION, ROS_TOOLS)
 
     def make(text: str = TWO) -> Fleet:
         fleets.append(

@@ -23,6 +23,7 @@ def test_every_tool_of_a_robot_requires_the_robot(fleet: Fleet) -> None:
     for name in tools.keys() - {
         "list_fleet",
         "emergency_stop",
+        "stop_motion",
         "find_robot_tools",
         "call_robot_tool",
     }:

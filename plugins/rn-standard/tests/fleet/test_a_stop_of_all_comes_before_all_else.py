@@ -125,3 +125,26 @@ def test_a_latch_that_cannot_be_written_keeps_no_other_from_its_place(
     fleet.press("somebody", "")
     assert order[:3] == [*STOPS, ("file", "right-arm")]
     assert {("topic", "left"), ("wake", "left")} <= set(order)
+
+
+def test_stop_motion_without_a_robot_ends_the_motions_of_all(
+    call: Call, make_fleet: Callable[..., Fleet]
+) -> None:
+    fleet = make_fleet()
+    stops = {name: robot.loop.starts.arm_stops for name, robot in fleet.robots.items()}
+    answer = call(fleet, "stop_motion")
+    assert answer.structured_content is not None, answer.content
+    assert set(answer.structured_content["robots"]) == set(fleet.robots)
+    for name, robot in fleet.robots.items():
+        assert robot.loop.starts.arm_stops > stops[name]
+        assert not robot.loop.emergency_stop.is_latched()
+
+
+def test_stop_motion_of_one_robot_leaves_the_other_alone(
+    call: Call, make_fleet: Callable[..., Fleet]
+) -> None:
+    fleet = make_fleet()
+    stops = {name: robot.loop.starts.arm_stops for name, robot in fleet.robots.items()}
+    assert not call(fleet, "stop_motion", {"robot": "left"}).is_error
+    assert fleet.robots["left"].loop.starts.arm_stops > stops["left"]
+    assert fleet.robots["right-arm"].loop.starts.arm_stops == stops["right-arm"]

@@ -3,7 +3,7 @@
 import pytest
 
 from rn_standard.direct_path.plugin import FEATURE as DIRECT_PATH
-from rn_standard.tools_arm.plugin import COMMAND, FEATURE, LIMITS
+from rn_standard.tools_arm.plugin import COMMAND, FEATURE, LIMITS, STOP_MOTION
 from rn_testing import (
     CommandCase,
     CommandContract,
@@ -24,6 +24,12 @@ class TestLimits(FeatureContract):
     @pytest.fixture
     def plugin(self) -> FeatureCase:
         return FeatureCase(spec=LIMITS, needs=(DIRECT_PATH,))
+
+
+class TestStopMotion(FeatureContract):
+    @pytest.fixture
+    def plugin(self) -> FeatureCase:
+        return FeatureCase(spec=STOP_MOTION, needs=(DIRECT_PATH, FEATURE))
 
 
 class TestLimitsCommand(CommandContract):

@@ -10,11 +10,12 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext, suppress
 from typing import Final
 
 from roboneuron.errors import NotReadyError, RefusedError, RoboNeuronError, StateError
+from roboneuron.estop import motion_stop
 from roboneuron.modules.settings import (
     ARM_KINDS,
     EMERGENCY_STOP,
@@ -46,6 +47,8 @@ class MotionStarts:
         instruction: the policy's newest instruction; empty if withdrawn.
         ticket: number of the newest instruction or of its end, by which its caller sees whether it
             is still valid.
+        admission: entered while an instruction is registered, with its text; raises RefusedError if
+            something else moves the robot. The motion arbiter sets it.
         AGAIN: hint for the client that releases a stop.
     """
 
@@ -67,6 +70,7 @@ class MotionStarts:
         self._lost: dict[ModuleKind, int] = {}
         self._was_latched = False
         self._telling: list[threading.Thread] = []
+        self.admission: Callable[[str], AbstractContextManager[None]] = lambda text: nullcontext()
         self.stops = self.arm_stops = self.ticket = 0
         self.reason = self.instruction = ""
 
@@ -116,6 +120,25 @@ class MotionStarts:
         """
         self.note_stop(reason, holds_arm=kind in ARM_KINDS, is_asked=is_asked)
         self._take_back()
+
+    def stop_motion(self, reason: str) -> dict[ModuleKind, str]:
+        """End all motion of the robot on a client's request. Nothing is latched: the next request
+        for motion is obeyed. Blocks until each module has confirmed it.
+
+        Args:
+            reason: the stop as text.
+
+        Returns:
+            Why it is not confirmed, by the modules that were asked; empty texts if it is.
+        """
+        is_instructed = bool(self.instruction)
+        self.note_stop(reason)
+        if is_instructed:
+            motion_stop.cancel_starting_policy(self._supervisor, reason)
+        slots = [slot for kind in (*ARM_KINDS, "inference") for slot in self._running(kind)]
+        failures = motion_stop.stop_modules(self._supervisor, slots, reason, self._set)
+        self.look()  # their reports are of this stop, and void no later request
+        return failures
 
     def are_needed(self) -> bool:
         """True if a stop keeps a module still until `permit`, or one is lost."""
@@ -202,8 +225,11 @@ class MotionStarts:
 
         Args:
             text: the instruction; empty for none.
+
+        Raises:
+            RefusedError: it is an instruction, and something else moves the robot.
         """
-        with self._lock:
+        with self.admission(text), self._lock:
             self.instruction = text
             self.ticket += 1
             return self.ticket
@@ -217,6 +243,7 @@ class MotionStarts:
             timeout_s: bound on each answer [s].
 
         Raises:
+            RefusedError: as `begin`.
             StateError: no policy runs.
             NotReadyError: it does not answer.
         """
@@ -318,7 +345,7 @@ class MotionStarts:
         with self._supervisor.changes.lock:
             return [slot for slot in self._supervisor.slots[kind] if slot.phase == "running"]
 
-    def _set(self, slot: Slot, values: dict[str, str | int], timeout_s: float) -> str:
+    def _set(self, slot: Slot, values: Mapping[str, str | int], timeout_s: float) -> str:
         """Set parameters of a module; return the reason of a refusal, empty if accepted."""
         client = self._supervisor.parameters(slot)
         return client.set(values, timeout_s, lambda: slot.check_alive("told what to do"))

@@ -28,6 +28,7 @@ from roboneuron.modules.settings import (
     EMERGENCY_STOP_TOPIC,
     SERVER_SILENT,
     START_PARAMETER,
+    STOP_PARAMETER,
 )
 from roboneuron.modules.status import StatusReporter
 from roboneuron.plugins.discovery import discover
@@ -71,10 +72,10 @@ class ModuleNode(ModuleHost):
         self._beat_s: float | None = None
         # the same for every kind of module: all need a new start after the same silence
         self._silence_s = settings.config.silence_s
-        self._silences = self._silences_seen = 0
-        self._resumes = self._resumes_seen = 0
+        self._silences = self._silences_seen = self._resumes = self._resumes_seen = 0
         self.create_timer(_LOOP_PERIOD_S, self._on_loop)
         self.add_parameter(START_PARAMETER, 0, self._permit, self._why_not_permit)
+        self.add_parameter(STOP_PARAMETER, "", self.stop_motion)
         if settings.needs_start:
             self.require_start(settings.needs_start)
         self._requests = RequestGuard(self, self.status)
@@ -108,8 +109,7 @@ class ModuleNode(ModuleHost):
         """Permit motion again after a request for motion that is newer than the latest stop.
 
         Args:
-            stops: number of stops in the report that the server has seen. A lower count than the
-                present one is refused: the request was made without knowledge of a later stop.
+            stops: number of stops that the server knew of; with a lower one than now it is refused.
         """
         with self.stops_lock:
             if stops == self.stops:

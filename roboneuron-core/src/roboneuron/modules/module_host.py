@@ -19,7 +19,7 @@ from roboneuron import foreign
 from roboneuron.config import LimitsConfig, ModuleSettings
 from roboneuron.contract import Hold, JointCommand, Pose
 from roboneuron.errors import ConfigurationError, ForeignDataError, PluginError, UnsafeError
-from roboneuron.modules.settings import LIMITS_PARAMETER, NEEDS_NEW_START
+from roboneuron.modules.settings import LIMITS_PARAMETER, NEEDS_NEW_START, STOP_MOTION
 from roboneuron.modules.status import StatusWriter
 from roboneuron.moved import Moved
 from roboneuron.plugins.discovery import discover
@@ -252,6 +252,10 @@ class ModuleHost(LifecycleNode):  # type: ignore[misc]
         if self.module is not None:
             self.module.stop(code)
 
+    def stop_motion(self, reason: str) -> None:
+        """End motion on a client's request; see `require_start`."""
+        self.require_start(reason, STOP_MOTION)
+
     def add_parameter(
         self,
         name: str,
@@ -334,8 +338,8 @@ class Module(ABC):
         """Handle a stop: requests from before it must not be carried out any more.
 
         Args:
-            code: "emergency_stop" or "server_silent", with which the robot has to hold;
-                `NEEDS_NEW_START` if it has already stopped by itself.
+            code: "emergency_stop", "server_silent" or `STOP_MOTION`, with which the robot has to
+                hold; `NEEDS_NEW_START` if it has already stopped by itself.
         """
 
 

@@ -13,6 +13,12 @@ START_PARAMETER = "start"
 """ROS parameter of robot and control: the number of stops known when motion was requested; commands
 are accepted again if there was no stop since.
 """
+STOP_PARAMETER = "stop"
+"""ROS parameter of robot, inference and control: the reason of a client's stop, which ends what
+moves now. It is not latched: the next request for motion is obeyed.
+"""
+STOP_MOTION = "stop_motion"
+"""Code of that stop, see `Module.stop`; the robot brakes."""
 NEEDS_NEW_START = "needs_new_start"
 """Counted in `dropped`: commands between a stop and the next request for motion."""
 EMERGENCY_STOP = "the emergency stop"

@@ -9,7 +9,7 @@ import logging
 import signal
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import replace
 from functools import partial
@@ -35,6 +35,7 @@ from roboneuron.server.registry import ToolRegistry
 from roboneuron.server.stop_tools import emergency_tool, stop_tools
 from roboneuron.server.surface import Served, make_server
 from roboneuron.server.tool import Resource, Transport
+from roboneuron.server.tool_search import search_tools
 from roboneuron.supervisor.connection import Connect, Connection
 from roboneuron.supervisor.health import Watch
 from roboneuron.supervisor.process import Command, module_command
@@ -110,13 +111,14 @@ class Application:
             self.events.health.tell,
         )
         self.tools = ToolRegistry(
-            [*stop_tools(self.loop), emergency_tool(self.loop)],
+            [*stop_tools(self.loop, self._motions), emergency_tool(self.loop)],
             most_calls=config.server.max_concurrent_calls,
             on_begin=self.events.call_begun.tell,
             on_end=self.events.call_ended.tell,
             on_change=self.events.tools.tell,
             acts_on=lambda: str(self.loop.robot_facts),
         )
+        self.tools.add_all(search_tools(self.tools.hidden))
         self.tools.chain.press_first(self.loop.emergency_stop.file.press)
         self.server = make_server(self, config.server.name)
         self.host = Host(
@@ -141,6 +143,9 @@ class Application:
         self.resources: Mapping[str, Resource] = {resource.uri: resource for resource in offered}
         if attached:
             self.features.each("attached", lambda feature: feature.attach(self.host))
+
+    def _motions(self) -> Sequence[str]:
+        return self.host.motions
 
     def check(self) -> None:
         """Check the configuration against the installed plugins.

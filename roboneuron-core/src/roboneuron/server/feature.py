@@ -53,7 +53,14 @@ class Feature(Generic[OptionsT]):
     @property
     def is_moving(self) -> bool:
         """True if it moves a robot now, outside the closed loop."""
-        return False
+        return bool(self.motions)
+
+    @property
+    def motions(self) -> Sequence[str]:
+        """What of it moves a robot now, outside the closed loop: a phrase each, such as "move_ee
+        of 'fr3' (for 1.2 s)"; from any thread.
+        """
+        return ()
 
     @property
     def omitted(self) -> Sequence[str]:

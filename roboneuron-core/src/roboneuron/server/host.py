@@ -170,6 +170,15 @@ class Host:
         return is_policy or any(feature.is_moving for feature in self.features.loaded.values())
 
     @property
+    def motions(self) -> tuple[str, ...]:
+        """What moves a robot now, a phrase each; a policy does while it has an instruction."""
+        found = [one for feature in self.features.loaded.values() for one in feature.motions]
+        text = self.loop.starts.instruction
+        if text and self.modules.view("inference").phase in ("starting", "running"):
+            found.append(f"the policy with the instruction {text!r}")
+        return tuple(found)
+
+    @property
     def identifies_clients(self) -> bool:
         """True if a feature distinguishes clients by a secret such as a token."""
         return any(feature.identifies_clients for feature in self.features.loaded.values())

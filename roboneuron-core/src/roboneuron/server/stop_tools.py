@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from pydantic import Field
 
+from roboneuron.errors import StateError
 from roboneuron.gate.roles import Role
 from roboneuron.modules.settings import MODULE_KINDS
 from roboneuron.planning import KIND_ENTRIES, KindEntry
@@ -17,6 +19,10 @@ from roboneuron.supervisor.health import Stopped
 
 class StopResult(Stopped, Result):
     """Result of a stop: the process is gone from the process table, or its start was cancelled."""
+
+    still_moving: list[str] = Field(
+        default_factory=list, description="what moves the robot all the same; stop_motion ends it"
+    )
 
 
 class StopAllResult(Result):
@@ -34,16 +40,36 @@ class EmergencyStopResult(Result):
     note: str = ""
 
 
-def stop_tools(loop: ClosedLoop) -> list[Tool[Any]]:
-    """A tool for each kind of module, and stop_all."""
-    return [*(_stop_tool(loop, KIND_ENTRIES[kind]) for kind in MODULE_KINDS), _stop_all(loop)]
+def stop_tools(
+    loop: ClosedLoop, motions: Callable[[], Sequence[str]] = lambda: ()
+) -> list[Tool[Any]]:
+    """A tool for each kind of module, and stop_all.
+
+    Args:
+        loop: the closed loop.
+        motions: see `Host.motions`.
+    """
+    tools = [_stop_tool(loop, KIND_ENTRIES[kind], motions) for kind in MODULE_KINDS]
+    return [*tools, _stop_all(loop)]
 
 
-def _stop_tool(loop: ClosedLoop, entry: KindEntry) -> Tool[Any]:
+def _stop_tool(
+    loop: ClosedLoop, entry: KindEntry, motions: Callable[[], Sequence[str]]
+) -> Tool[Any]:
     kind = entry.kind
 
     async def handler(_: NoArguments, context: CallContext) -> StopResult:
-        return StopResult(**dict(await context.run(lambda _: loop.stop(kind))))
+        try:
+            stopped = await context.run(lambda _: loop.stop(kind))
+        except StateError as error:
+            moving = motions()
+            if not moving:
+                raise
+            raise StateError(
+                f"{error.message} The robot is still moved by: {', '.join(moving)}.",
+                hint="Call stop_motion: it ends whatever moves.",
+            ) from error
+        return StopResult(**dict(stopped), still_moving=list(motions()))
 
     return Tool(
         name=f"stop_{kind}",

@@ -1,5 +1,7 @@
-"""Lasting motions: one owner per robot, ended by the emergency stop, a cancelled call, or a policy
-that starts.
+"""Ownership of each robot: one lasting motion of a call, or a policy with an instruction.
+
+The later request is refused. A motion is ended by a stop or a cancelled call. A policy without an
+instruction sends nothing and owns nothing.
 """
 
 from __future__ import annotations
@@ -21,6 +23,8 @@ FROZEN_S = 2.0
 """Silence of the server after which modules hold the robot by default, and its own motions end; a
 motion is checked every 10 ms.
 """
+FREE = "Wait for its end, or call stop_motion: it ends whatever moves."
+"""Hint of a request that is refused because something else moves the robot."""
 POLL_S = 0.01
 """Period at which a lasting motion checks the latch; with one publish it is well within 50 ms."""
 
@@ -71,6 +75,13 @@ class MotionEnd:
         ) from self.cause
 
 
+def _occupied(motion: ActiveMotion) -> RefusedError:
+    """The refusal of a request that comes while another call moves the robot."""
+    return RefusedError(
+        f"{motion.what} moves {motion.exposed.robot!r} now.", hint=FREE, rule="ownership"
+    )
+
+
 class ActiveMotion:
     """A motion in progress; used by the thread that plays it."""
 
@@ -85,7 +96,7 @@ class ActiveMotion:
         frozen_s: float = FROZEN_S,
     ) -> None:
         self._stopped, self._frozen_s = stopped, frozen_s
-        self._looked_s = time.monotonic()
+        self._looked_s = self.began_s = time.monotonic()
         self.exposed = exposed
         self.what = what
         self._gate = gate
@@ -155,8 +166,9 @@ class MotionArbiter:
     ) -> None:
         """Args:
         gate: checks whether motion may continue.
-        policy: returns a sentence on the policy that moves the endpoint's robot; empty without one.
-        loop: its `starts` record the stops.
+        policy: returns a sentence on the policy that moves the endpoint's robot; empty without one,
+            and for one that has no instruction.
+        loop: its `starts` record the stops and the policy's instruction.
         is_followed: returns True if control still follows actions: it will hold, and the hold would
             end another motion.
         hold_s: longest wait for that hold.
@@ -169,6 +181,7 @@ class MotionArbiter:
         self._lock = threading.Lock()
         self._moving: dict[str, ActiveMotion] = {}
         self._idle = threading.Condition(self._lock)
+        loop.starts.admission = self.admit_policy
         gate.latch.on_press.append(self._stop_now)
         gate.latch.on_pressed.append(self._wake)
 
@@ -186,7 +199,17 @@ class MotionArbiter:
     @property
     def is_moving(self) -> bool:
         """True if a call moves a robot now."""
-        return any(motion.exposed.moves for motion in list(self._moving.values()))
+        return bool(self.motions)
+
+    @property
+    def motions(self) -> tuple[str, ...]:
+        """The calls that move a robot now, a phrase each."""
+        now_s = time.monotonic()
+        return tuple(
+            f"{motion.what} of {motion.exposed.robot!r} (for {now_s - motion.began_s:.1f} s)"
+            for motion in list(self._moving.values())
+            if motion.exposed.moves
+        )
 
     def check_free(self, exposed: ExposedEndpoint) -> None:
         """Raise RefusedError while a policy or another call moves the robot; endpoints that move
@@ -198,14 +221,24 @@ class MotionArbiter:
         if policy:
             # this reason first: without the policy nothing moved either
             self._gate.latch.check(" Nothing was sent.")
-            raise RefusedError(policy, hint="Call stop_inference first.", rule="ownership")
+            raise RefusedError(policy, hint=FREE, rule="ownership")
         other = self._moving.get(exposed.robot)
         if other is not None:
-            raise RefusedError(
-                f"{other.what} moves {exposed.robot!r} now.",
-                hint="Wait for its end, or cancel that call.",
-                rule="ownership",
-            )
+            raise _occupied(other)
+
+    @contextmanager
+    def admit_policy(self, instruction: str) -> Iterator[None]:
+        """Let a policy of this server begin an instruction; nothing else can claim the robot within
+        the block. A person may lead it: then control lets one of them act.
+
+        Raises:
+            RefusedError: a call moves the robot, which goes on; the later request is refused.
+        """
+        with self._lock:
+            for motion in self._moving.values() if instruction else ():
+                if motion.exposed.moves and motion.exposed.label != LEAD_LABEL:
+                    raise _occupied(motion)
+            yield
 
     def stops_until_now(self, exposed: ExposedEndpoint) -> int:
         """Number of stops before a request, which end nothing that it asks for; see
@@ -275,7 +308,7 @@ class MotionArbiter:
             if time.monotonic() > deadline_s:
                 raise NotReadyError(
                     "Control still receives actions from another sender; nothing was sent.",
-                    hint="Call stop_inference, or see get_status.",
+                    hint="Call stop_motion, or see get_status.",
                 )
             motion.sleep_until(time.monotonic() + POLL_S)
 

@@ -52,9 +52,9 @@ class DirectPath(Feature[DirectPathOptions]):
         return self._gate
 
     @property
-    def is_moving(self) -> bool:
-        """True if a call moves a robot now."""
-        return self._gate is not None and self.arbiter.is_moving
+    def motions(self) -> Sequence[str]:
+        """See `Feature.motions`."""
+        return () if self._gate is None else self.arbiter.motions
 
     def tools(self, host: Host) -> Sequence[Tool]:
         """Return no tools; build the gate, which allows nothing until something is exposed. Raises
@@ -138,9 +138,12 @@ class DirectPath(Feature[DirectPathOptions]):
             self._host.loop.starts.permit(stops)
 
     def _policy(self, exposed: ExposedEndpoint) -> str:
-        """Describe the policy that moves the robot now; empty without one. A leading person does
-        not have to wait for it: control lets one of them act.
+        """Describe the policy that moves the robot now; empty without one, and for one without an
+        instruction. A leading person does not have to wait for it: control lets one of them act.
         """
+        instruction = self._host.loop.starts.instruction
+        if not instruction:
+            return ""
         if exposed.hidden and exposed.label == LEAD_LABEL:
             return ""
         modules = self._modules
@@ -152,7 +155,10 @@ class DirectPath(Feature[DirectPathOptions]):
             return ""
         if view.plan.config.namespace != exposed.namespace:
             return ""
-        return f"The policy {view.plan.names.get('backend', '')!r} moves {exposed.robot!r}."
+        return (
+            f"The policy {view.plan.names.get('backend', '')!r} moves {exposed.robot!r}: "
+            f"{instruction!r}."
+        )
 
     def _is_followed(self, exposed: ExposedEndpoint) -> bool:
         """True if control has acted since its last hold; a frozen control module reports nothing

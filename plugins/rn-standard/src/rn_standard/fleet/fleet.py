@@ -15,7 +15,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from rn_standard.fleet.connection import PARTICIPANTS, SharedConnection, participants_of
-from rn_standard.fleet.fleet_tools import emergency_stop_tool, list_fleet_tool
+from rn_standard.fleet.fleet_tools import emergency_stop_tool, list_fleet_tool, stop_motion_tool
 from rn_standard.fleet.resources import resources_of, uri_of
 from rn_standard.fleet.tools import FleetTools
 from roboneuron import ConfigurationError, RoboNeuronError, Tool, Transport, UnsafeError
@@ -81,7 +81,11 @@ class Fleet:
         except BaseException:
             self.close()
             raise
-        own: list[Tool] = [list_fleet_tool(self.robots), emergency_stop_tool(self)]
+        own: list[Tool] = [
+            list_fleet_tool(self.robots),
+            emergency_stop_tool(self),
+            stop_motion_tool(self.robots),
+        ]
         self.tools = FleetTools(self.robots, own, lambda who: self.events.client.tell(who, True))
         self.tools.chain.press_first(self.press)
         self.resources = resources_of(self.robots)
@@ -92,7 +96,8 @@ class Fleet:
         robots = (
             f"RoboNeuron operates {len(self.robots)} robots: {named}. Every tool takes `robot`, "
             "the one it is about; "
-            "list_fleet shows how they are; emergency_stop without `robot` stops all."
+            "list_fleet shows how they are; without `robot`, emergency_stop and stop_motion stop "
+            "all."
         )
         first = next(iter(self.robots.values()))
         # those of the first robot ask the client's user, which is independent of the robot

@@ -6,13 +6,26 @@ import time
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Protocol
 
+import anyio
 from pydantic import Field
 
-from roboneuron import Arguments, CallContext, InvalidInputError, NoArguments, Result, Tool
+from roboneuron import (
+    Arguments,
+    CallContext,
+    InvalidInputError,
+    NoArguments,
+    NotReadyError,
+    Result,
+    RoboNeuronError,
+    Tool,
+)
 from roboneuron.feature import Role
 
 if TYPE_CHECKING:
     from roboneuron.feature import Application
+
+
+STOP_MOTION = "stop_motion"
 
 
 class StoppedTogether(Protocol):
@@ -120,6 +133,70 @@ def emergency_stop_tool(fleet: StoppedTogether) -> Tool[FleetStop]:
         arguments=FleetStop,
         result=FleetStopResult,
         handler=latch,
+        destructive=True,
+        idempotent=True,
+        open_world=True,
+        role=Role.VIEWER,  # every role that sees a robot may stop it
+        always=True,
+    )
+
+
+class FleetMotionStop(Arguments):
+    """Arguments of stop_motion."""
+
+    robot: str | None = Field(
+        default=None, description="Which robot; all of them when omitted or unknown."
+    )
+
+
+class FleetMotionStopResult(Result):
+    """What was stopped, by robot."""
+
+    robots: dict[str, dict[str, object]] = Field(
+        description="answers of each robot's own stop_motion"
+    )
+
+
+def stop_motion_tool(robots: Mapping[str, Application]) -> Tool[FleetMotionStop]:
+    """stop_motion of all robots; a call for one robot is passed to that robot's own tool."""
+
+    async def stop(arguments: FleetMotionStop, context: CallContext) -> FleetMotionStopResult:
+        answers: dict[str, dict[str, object]] = {}
+        failures: list[str] = []
+
+        async def stop_one(name: str) -> None:
+            tool = robots[name].tools.get(STOP_MOTION)
+            if tool is None:
+                return
+            try:
+                answers[name] = dict((await tool.call({}, context)).structured)
+            except RoboNeuronError as error:
+                failures.append(f"{name}: {error}")
+
+        async with anyio.create_task_group() as group:
+            for name in robots:
+                group.start_soon(stop_one, name)
+        if failures:
+            raise NotReadyError(
+                "\n".join(failures), hint="Call emergency_stop if one of them moves."
+            )
+        if arguments.robot is not None:
+            raise InvalidInputError(
+                f"There is no robot {arguments.robot[:80]!r}: the motions of all robots were "
+                "stopped.",
+                hint=f"There are: {', '.join(robots)}.",
+                path="robot",
+            )
+        return FleetMotionStopResult(robots={name: answers[name] for name in sorted(answers)})
+
+    return Tool(
+        name=STOP_MOTION,
+        title="Stop moving",
+        description="End whatever moves the robots, or one of them, and say how they stand. "
+        "Nothing is latched and no module stops: the next call may move them.",
+        arguments=FleetMotionStop,
+        result=FleetMotionStopResult,
+        handler=stop,
         destructive=True,
         idempotent=True,
         open_world=True,

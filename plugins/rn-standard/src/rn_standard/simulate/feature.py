@@ -221,6 +221,9 @@ class SimulateFeature(Feature[SimulateOptions]):
             return f"It needs the role {Role.OPERATOR!r}."
         try:
             host.loop.emergency_stop.check()
+            if isinstance(parsed, RunTask):
+                with host.loop.starts.admission(parsed.instruction):
+                    return ""
             host.gate.check_free(arm_endpoint(host))
             if isinstance(parsed, MoveEndEffector | PlaceArguments):
                 host.modules.require_running("control")

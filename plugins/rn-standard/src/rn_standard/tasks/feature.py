@@ -146,6 +146,12 @@ class TasksFeature(Feature[TasksSections]):
         if self._watching is not None:
             self._watching.start()
 
+    @property
+    def motions(self) -> Sequence[str]:
+        """See `Feature.motions`."""
+        owner = "" if self._arbiter is None else self._arbiter.owner
+        return (f"run_task {owner}",) if owner else ()
+
     def close(self) -> None:
         """End the running task, if any, and all subscriptions."""
         if self._arbiter is not None:

@@ -237,7 +237,7 @@ def move_to_tool(mover: Mover, places: Places) -> Tool[MoveToArguments]:
         title="Move to a named posture or place",
         description="Move the arm to a named posture, or in straight lines to a named place "
         "(needs start_control). "
-        "Refused while a policy runs: stop_inference first. Returns when it is measured there.",
+        "Refused while a policy has an instruction. Returns when it is measured there.",
         arguments=MoveToArguments,
         result=MovedTo,
         handler=handler,

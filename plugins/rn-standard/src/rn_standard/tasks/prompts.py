@@ -53,7 +53,7 @@ PROMPTS: Mapping[str, TaskPrompt] = {
     "put_away": TaskPrompt(
         title="Put the robot away",
         description="End what runs, go to a safe posture, stop everything.",
-        text="Call stop_inference if a policy runs. If move_to knows home, go there; make sure "
+        text="Call stop_motion if anything moves. If move_to knows home, go there; make sure "
         "before, by a camera "
         "image, that nothing is in the way. Then call stop_all and tell me what was stopped.",
     ),

@@ -9,8 +9,6 @@ from typing import cast
 
 from pydantic import Field
 
-from rn_standard.direct_path import truth
-from rn_standard.direct_path.fields import check_path, load_type
 from rn_standard.inference.instruction_text import InstructionText
 from rn_standard.selection.restricted import restricted_values
 from rn_standard.stepped.clock import is_stepped
@@ -23,23 +21,21 @@ from rn_standard.tasks.monitor import Monitor, RememberingMonitor
 from rn_standard.tasks.options import TaskOptions
 from rn_standard.tasks.predicates import (
     UNTIL,
-    FieldIs,
     GripperHolds,
     MonitorSays,
     Predicate,
-    TcpIn,
     flat,
     parse_predicate,
 )
 from rn_standard.tasks.runner import Outcome, Task, TaskEnd, TaskPlan
 from rn_standard.tasks.stepped import SteppedCell
+from rn_standard.tasks.task_judge import judge_of, topics_of
 from rn_standard.tasks.task_result import TaskResult, task_result
 from rn_standard.tasks.task_watch import Notify, TaskWatch, WatchMaker
 from rn_standard.tools_arm.grip import check_gripper
 from roboneuron import (
     Arguments,
     CallContext,
-    ConfigurationError,
     Host,
     InvalidInputError,
     NotReadyError,
@@ -50,7 +46,7 @@ from roboneuron import (
     StateError,
     Tool,
 )
-from roboneuron.feature import Stage, build, check_topic, loading
+from roboneuron.feature import Stage, build, loading
 
 HOLD, STOP = "hold", "stop"
 """Actions at the end of a task, in addition to the names of postures and places."""
@@ -132,6 +128,7 @@ class TaskTool:
         topics = {} if predicate is None else topics_of(predicate)
         plan = self._plan(arguments)
         halt = threading.Event()
+        arm_stops = self._host.loop.starts.arm_stops
 
         def work(stage: Stage) -> TaskEnd:
             cameras, why = self._cameras(predicate), lambda: self._arbiter.reason
@@ -154,7 +151,7 @@ class TaskTool:
         except RoboNeuronError as error:
             self._failed(instruction, error)
             raise
-        ended_with = await self._finish(arguments.on_end, end, context)
+        ended_with = await self._finish(arguments.on_end, end, context, arm_stops)
         return Reply(result=task_result(end, ended_with), pictures=(*end.before, *end.after))
 
     def subject(self, arguments: RunTask) -> tuple[str, str]:
@@ -189,13 +186,21 @@ class TaskTool:
         self._check_grippers(predicate, profile)
         return predicate, profile, judge
 
-    async def _finish(self, on_end: str, end: TaskEnd, context: CallContext) -> str:
-        """Perform the action at the end; its failure does not change the outcome."""
+    async def _finish(self, on_end: str, end: TaskEnd, context: CallContext, arm_stops: int) -> str:
+        """Perform the action at the end; its failure does not change the outcome.
+
+        Args:
+            on_end, end, context: of the call.
+            arm_stops: number of stops when it began; another one since ends the call's motions.
+        """
         if on_end == HOLD or end.outcome is Outcome.STOPPED:
             return HOLD
+        if self._host.loop.starts.arm_stops != arm_stops:
+            return f"{HOLD}: there was a stop: {self._host.loop.starts.reason}"
         try:
-            await context.run(lambda _: self._host.loop.stop("inference"))
-            if on_end != STOP:
+            if on_end == STOP:
+                await context.run(lambda _: self._host.loop.stop("inference"))
+            else:  # the policy has no instruction any more
                 await self._move_to(on_end, context)
         except RoboNeuronError as error:
             return f"{HOLD}: {on_end!r} was not possible: {error}"
@@ -313,27 +318,6 @@ def _of_roles(roles: Mapping[str, str], wanted: Iterable[str], known: list[str])
     return [name for name, role in roles.items() if role in wanted and name not in known]
 
 
-def judge_of(
-    predicate: Predicate,
-    instruction: str,
-    profile: RobotProfile | None,
-    monitor_for: MonitorFor,
-) -> PredicateJudge:
-    """What judges a task. Raises InvalidInputError for an arm that the robot does not have."""
-    arms = {} if profile is None else {arm.name: arm for arm in profile.arms}
-    for part in flat(predicate):
-        if isinstance(part, TcpIn | GripperHolds) and part.arm not in ("", *arms):
-            raise InvalidInputError(
-                f"There is no arm {part.arm[:64]!r}.",
-                hint=f"The arms are: {', '.join(arms) or 'one without a name'}.",
-                path="until",
-            )
-    grippers = {name: arm.gripper for name, arm in arms.items()}
-    grippers[""] = None if profile is None else profile.gripper
-    joints = {name: grip.joint for name, grip in grippers.items() if grip is not None}
-    return PredicateJudge(predicate, instruction, monitor_for, joints)
-
-
 def profile_of(host: Host) -> RobotProfile | None:
     """Profile of the present robot; None without a plugin for it, and without the direct path."""
     name = host.config.robot.name
@@ -342,36 +326,6 @@ def profile_of(host: Host) -> RobotProfile | None:
     except StateError:
         return None
     return next((e.profile for e in exposed if e.profile is not None and e.robot == name), None)
-
-
-def topics_of(predicate: Predicate) -> Mapping[str, str]:
-    """Type by topic, for the fields in a predicate.
-
-    Raises:
-        InvalidInputError: a topic, type or field is invalid, or one topic is named with two types.
-        RefusedError: a topic contains the simulator's ground truth.
-    """
-    topics: dict[str, str] = {}
-    for part in flat(predicate):
-        if isinstance(part, FieldIs):
-            _check_field(part)
-            if truth.is_withheld(part.topic):
-                raise RefusedError(
-                    f"{part.topic} carries what only the simulator knows.",
-                    hint="Judge by the robot's own measurements or by a monitor.",
-                    rule="simulator_truth",
-                )
-            if topics.setdefault(part.topic, part.type) != part.type:
-                raise InvalidInputError(f"{part.topic} is named with two types.", path="until")
-    return topics
-
-
-def _check_field(part: FieldIs) -> None:
-    try:
-        check_topic(part.topic)
-        check_path(load_type(part.type), part.field)
-    except (ConfigurationError, InvalidInputError) as error:
-        raise InvalidInputError(f"until: {error.message}", hint=error.hint, path="until") from error
 
 
 def run_task_tool(handler: TaskTool) -> Tool[RunTask]:

@@ -16,13 +16,19 @@ from roboneuron.feature import ModuleKind
 class ArmTools(Feature[ArmToolsOptions]):
     """Adds move_joints, move_ee and place. They need only the gate, which exposes the endpoints of
     the robot's profile.
+
+    Attributes:
+        poses, grips: measured TCPs and grippers, by "<namespace>/<arm>".
     """
+
+    def __init__(self, options: ArmToolsOptions) -> None:
+        super().__init__(options)
+        self.poses: dict[str, MeasuredPose] = {}
+        self.grips: dict[str, GripHeight] = {}
 
     def tools(self, host: Host) -> Sequence[Tool]:
         """Return no permanent tools; the derived ones appear once something is exposed."""
-
-        poses: dict[str, MeasuredPose] = {}
-        grips: dict[str, GripHeight] = {}
+        poses, grips = self.poses, self.grips
 
         def derive() -> None:
             host.tools.replace_derived(FEATURE.name, arm_tools(host, self.options, poses, grips))

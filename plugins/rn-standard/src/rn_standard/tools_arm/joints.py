@@ -106,8 +106,8 @@ def joint_tools(host: Host, endpoints: Iterable[ExposedEndpoint], gate: MotionGa
             title="Move joints",
             description=(
                 f"Move joints of {found.robot!r} to positions [rad, m], within their limits. "
-                "Needs start_robot; refused while a policy runs. Returns when they are measured "
-                "there, at rest."
+                "Needs start_robot; refused while a policy has an instruction. Returns when they "
+                "are measured there, at rest."
             ),
             arguments=Derived(
                 model=MoveJoints,

@@ -22,6 +22,14 @@ LIMITS = FeatureSpec(
 )
 """Descriptor of the feature that tightens limits."""
 
+STOP_MOTION = FeatureSpec(
+    name="stop-motion",
+    summary="stop_motion: ends whatever moves the robot; nothing is latched.",
+    target="rn_standard.tools_arm.stop_motion:StopMotionFeature",
+    needs=("tools-arm",),
+)
+"""Descriptor of the feature that ends motions."""
+
 COMMAND = CommandSpec(
     name="limits",
     summary="show the limits that clients have tightened, and loosen them",
@@ -33,7 +41,7 @@ COMMAND = CommandSpec(
 @hookimpl
 def roboneuron_features() -> tuple[FeatureSpec, ...]:
     """The features of this package."""
-    return (FEATURE, LIMITS)
+    return (FEATURE, LIMITS, STOP_MOTION)
 
 
 @hookimpl

@@ -59,8 +59,8 @@ def arm_tools(
             f"Move the TCP of {_one_of(action.robot, [*movers])} by a delta in the base frame in a "
             f"straight line, at up to {options.ee_speed_m_s:g} m/s and "
             f"{options.ee_turn_rad_s:g} rad/s, and set the gripper. Needs start_control; refused "
-            "while a policy runs. Returns when the arm is measured there; an error says where it "
-            "stopped and why."
+            "while a policy has an instruction. Returns when the arm is measured there; an error "
+            "says where it stopped and why."
         ),
         arguments=Derived(
             model=MoveEndEffector,

@@ -1,0 +1,80 @@
+"""The simulated FR3 is at rest 0.3 s after stop_motion, whatever moves it, and does not move again
+until it is asked to.
+
+Judged by its measured joints, by the truth of the simulation.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+from cancelled_arm import INSTRUCTION, MOTIONS, Arm
+
+from rn_testing.waiting import holds_within, wait_until
+from roboneuron.ros.environment import prepare_environment
+
+sys.path.pop(0)
+
+pytestmark = [pytest.mark.ros, pytest.mark.timeout(180)]
+REST_S = 0.3
+QUIET_S = 1.0
+KINDS = {
+    "move_joints": "move_joints of 'fr3'",
+    "trajectory": "",
+    "sequence": "publish_joint_trajectory_sequence of 'fr3'",
+    "move_ee": "move_ee of 'fr3'",
+    "posture": "'fr3'",
+    "run_task": f"run_task {INSTRUCTION!r}",
+    "set_instruction": f"the policy with the instruction {INSTRUCTION!r}",
+    "lead_arm": "lead_arm of 'fr3'",
+}
+"""What moves the arm, and how the answer names it. A single trajectory is sent at once: the robot
+carries it out after its call has ended, and no call is named.
+"""
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Arm]:
+    folder = tmp_path_factory.mktemp("arm")
+    prepare_environment(folder / "ros")
+    made = Arm(folder)
+    yield made
+    made.close()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_arm_rests_and_stays_at_rest(arm: Arm, kind: str) -> None:
+    client = arm.use("http", "2025-11-25", "notification", kind)
+    arm.prepare(kind)
+    if kind == "set_instruction":
+        client.begin(kind, {"instruction": INSTRUCTION})
+    elif kind == "lead_arm":
+        client.begin(kind, {"source": "twist-topic"})
+        wait_until(client.has_answered, 30.0, "the lead begins")
+        arm.release()
+        arm.push(True)
+    else:
+        client.begin(*next(MOTIONS[kind]))
+    try:
+        assert holds_within(arm.moves, 30.0), (
+            f"{kind} moves nothing: {client.said()[-2000:]} {arm.module('control')}"
+        )
+        since_s = time.monotonic()
+        answer = arm.steward.call("stop_motion", {})
+        wait_until(arm.rests, 5.0, "rest")
+        took_s = arm.rested_after_s(since_s)
+        print(f"{kind}: at rest after {took_s:.3f} s, answered {answer['took_s']:.3f} s")
+        assert not holds_within(arm.moves, QUIET_S), "it moves again"
+        assert took_s < REST_S
+        assert answer["at_rest"] is True
+        assert any(KINDS[kind] in one for one in answer["stopped"]) or not KINDS[kind]
+        assert not arm.steward.call("get_status", {})["emergency_stop"]
+    finally:
+        arm.push(False)
+        client.leave_call()
