@@ -120,7 +120,10 @@ def test_a_base_drives_to_a_goal_and_into_no_zone(bench: Bench) -> None:
                 assert not succeeded
                 assert told in text
             assert math.dist(await agent.place(), (0.0, 0.0)) < 0.01, "a refused goal moved it"
-            succeeded, answer, text = await agent.drive(goal(0.4, 0.6))
+            for _ in range(3):  # a busy machine keeps the odometry back, and the navigator gives up
+                succeeded, answer, text = await agent.drive(goal(0.4, 0.6))
+                if succeeded or "TF_ERROR" not in text:
+                    break
             assert succeeded, text
             assert answer["status"] == "succeeded"
             assert answer["result"]["error_code"] in (0, "NONE")

@@ -91,7 +91,7 @@ def sent(application: Application, monkeypatch: pytest.MonkeyPatch) -> list[str]
     return asked
 
 
-def call(application: Application, tool: str, **arguments: Any) -> Any:
+def call(application: Application, tool: str, /, **arguments: Any) -> Any:
     async def ask() -> Any:
         async with Client(application.server) as client:
             return await client.call_tool(tool, arguments)
@@ -350,9 +350,9 @@ def test_no_tool_that_acts_does_anything_in_a_simulated_call(
     if twin == "dead":
         lost = NotReadyError("The twin of the cell has ended.")
         monkeypatch.setattr(SimulateFeature, "_twin", Mock(side_effect=lost))
-    names = [name for name in acting(application) if name != "emergency_stop"]
-    assert {*CALLS} <= {*names}
-    for name in names:
+    names = {*acting(application)} - {"emergency_stop", "call_tool"}
+    assert {*CALLS} <= names
+    for name in sorted(names):
         answer = call(application, name, simulate=True, **CALLS.get(name, {}))
         if answer.is_error:
             error = answer.meta["roboneuron/error"]
@@ -363,6 +363,15 @@ def test_no_tool_that_acts_does_anything_in_a_simulated_call(
             assert name in CALLS
     phases = {view.phase for view in application.host.modules.views()}
     assert phases == {"stopped"}
+    assert sent == []
+
+
+def test_a_tool_that_is_called_by_its_name_is_simulated_too(
+    application: Application, sent: list[str]
+) -> None:
+    name = "publish_joint_trajectory_sequence"
+    answer = call(application, "call_tool", tool=name, arguments={**CALLS[name], "simulate": True})
+    assert answer.structured_content["simulated"] is True
     assert sent == []
 
 

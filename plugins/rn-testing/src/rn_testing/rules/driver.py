@@ -25,6 +25,7 @@ from roboneuron import (
     InvalidInputError,
     JointCommand,
     JointLimits,
+    NotReadyError,
     RoboNeuronError,
     RobotDriver,
     RobotState,
@@ -54,11 +55,19 @@ def opened(case: RobotCase) -> Iterator[RobotDriver]:
 
 
 def read_state(case: RobotCase, driver: RobotDriver) -> RobotState:
-    """The newest state; waits for the first one if necessary."""
+    """The newest state; waits for one if necessary, also while the driver says that it has none,
+    as a busy machine makes it.
+    """
     found: list[RobotState] = []
+    end_s = time.monotonic() + case.settle_s
 
     def has_state() -> bool:
-        state = driver.read()
+        try:
+            state = driver.read()
+        except NotReadyError:
+            if time.monotonic() > end_s:
+                raise
+            return False
         require(
             isinstance(state, RobotState),
             f"read returned {type(state).__name__}, expected a RobotState",
