@@ -121,6 +121,13 @@ class WireClient:
         assert not answer["result"].get("isError"), answer
         return dict(answer["result"]["structuredContent"])
 
+    def failure(self, tool: str, arguments: Mapping[str, Any]) -> dict[str, Any]:
+        """The error of a call that must fail."""
+        params = {"name": tool, "arguments": arguments}
+        answer = self._answer(self.message("tools/call", params, is_request=True))
+        assert answer["result"].get("isError"), answer
+        return dict(answer["result"]["_meta"]["roboneuron/error"])
+
     def _answer(self, message: dict[str, Any]) -> dict[str, Any]:
         raise NotImplementedError
 

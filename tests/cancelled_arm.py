@@ -22,7 +22,7 @@ from roboneuron.config import default_text
 sys.path.pop(0)
 
 WINDOW_S, STILL_RAD, MOVES_RAD = 0.3, 0.003, 0.01
-RESTS_RAD, PUSH_M_S = 5e-4, 0.05
+RESTS_RAD, PUSH_M_S, LEAST_STEP_S = 5e-4, 0.05, 0.02
 LEAST_SAMPLES = 5
 INSTRUCTION = "pick up the red cube"
 NEVER = {"kind": "tcp_in", "lower_m": [9, 9, 9], "upper_m": [10, 10, 10]}
@@ -164,6 +164,19 @@ class Arm:
     def moves(self) -> bool:
         """The arm is measured in motion."""
         return (self._travel() or 0.0) > MOVES_RAD
+
+    def fastest_rad_s(self) -> float:
+        """Highest speed of a joint of the arm between successive measurements that are kept, of
+        which the times are of their arrival: at least 20 ms apart [rad/s].
+        """
+        seen, fastest = tuple(self._seen), 0.0
+        before = seen[0]
+        for at_s, positions in seen[1:]:
+            if at_s - before[0] < LEAST_STEP_S:
+                continue
+            moved = max(abs(a - b) for a, b in zip(positions[:7], before[1][:7], strict=True))
+            fastest, before = max(fastest, moved / (at_s - before[0])), (at_s, positions)
+        return fastest
 
     def rested_after_s(self, since_s: float) -> float:
         """How long a joint still moved after a time [monotonic s]; the arm rests now [s]."""

@@ -138,12 +138,15 @@ def test_joints_trajectory_and_end_effector(tmp_path: Path, environment: dict[st
 
             await do("start_perception")
             await do("start_inference")
+            await do("move_ee", dx_m=0.02)  # the policy has no instruction
+            await do("set_instruction", instruction="pick up the red cube")
             for tool, arguments in (
                 ("move_ee", {"dx_m": 0.02}),
                 ("move_joints", {"positions": {"fr3_joint1": 0.1}}),
             ):
                 text = await fail(tool, **arguments)
                 assert "The policy 'servo' moves 'fr3'" in text
+            await do("stop_motion")
             await do("stop_inference")
 
             stopped: list[str] = []

@@ -4,6 +4,7 @@ none: at once, before anything moves.
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from types import SimpleNamespace
 from typing import Any
 
@@ -67,7 +68,9 @@ class Cell:
             config=SimpleNamespace(robot=SimpleNamespace(name=profile.name)),
             gate=SimpleNamespace(exposed=(exposed,)),
             modules=SimpleNamespace(view=lambda kind: view, require_running=lambda kind: view),
-            loop=SimpleNamespace(starts=SimpleNamespace(arm_stops=0, reason="")),
+            loop=SimpleNamespace(
+                starts=SimpleNamespace(arm_stops=0, reason="", admission=nullcontext)
+            ),
         )
 
     async def ask(self, *_: object, **__: object) -> None:

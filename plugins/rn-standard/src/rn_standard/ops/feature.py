@@ -35,7 +35,9 @@ class Operations(Feature[OpsOptions]):
     def tools(self, host: Host) -> Sequence[Tool]:
         """Return get_logs and list_incidents."""
         self._host = host
-        self._incidents = Incidents(host.state_directory / FOLDER)
+        self._incidents = Incidents(
+            host.state_directory / FOLDER, robot=lambda: str(host.loop.robot_facts)
+        )
         self._restarts = Restarts(host.loop, self.options, self._note_restart, self._before_restart)
         self._memory = MemoryWatch(host.modules, self.options.memory_limit_mb, self._note_memory)
         self._faults = SafetyFaults(host.loop, host.events.fault.tell)
@@ -83,6 +85,7 @@ class Operations(Feature[OpsOptions]):
                 watch.close()
 
     def _record(self, view: ModuleView, before: Health, health: Health) -> None:
+        self._incidents.spans.change(view.kind, before, health)
         if health not in FAULTS:
             return
         if health == "failing" and view.report is not None and view.report.error_code in _ORDINARY:

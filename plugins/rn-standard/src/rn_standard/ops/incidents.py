@@ -25,6 +25,43 @@ _AGAIN_S = 5.0
 """Time within which the same recurring fault of the same module is one incident."""
 
 
+class FaultSpans:
+    """How long faults of modules have lasted while this server ran. Usable from any thread.
+
+    Args:
+        monotonic: time [s].
+    """
+
+    def __init__(self, monotonic: Callable[[], float] = time.monotonic) -> None:
+        self._monotonic = monotonic
+        self._lock = threading.Lock()
+        self._since: dict[tuple[str, str], float] = {}
+        self._longest: dict[tuple[str, str], float] = {}
+
+    def change(self, module: str, before: str, now: str) -> None:
+        """Note that the health of a module has changed."""
+        with self._lock:
+            self._keep(module, before)
+            self._since.pop((module, before), None)
+            self._since[module, now] = self._monotonic()
+
+    def longest_s(self, module: str, what: str) -> float | None:
+        """Longest duration of a fault [s], the present one included; None if not known."""
+        with self._lock:
+            self._keep(module, what)
+            return self._longest.get((module, what))
+
+    def is_now(self, module: str, what: str) -> bool:
+        """True if the module has that fault now."""
+        return (module, what) in self._since
+
+    def _keep(self, module: str, what: str) -> None:
+        since_s = self._since.get((module, what))
+        if since_s is not None:
+            lasted_s = self._monotonic() - since_s
+            self._longest[module, what] = max(self._longest.get((module, what), 0.0), lasted_s)
+
+
 class Incidents:
     """Writes and lists the records; the newest 200 are kept. Usable from any thread.
 
@@ -32,6 +69,10 @@ class Incidents:
         directory: folder of the files; created with the first record.
         clock: wall-clock time [s], for the stamps.
         monotonic: time [s] for the detection of repetitions.
+        robot: returns the present robot, real or simulated.
+
+    Attributes:
+        spans: how long faults lasted.
     """
 
     def __init__(
@@ -39,8 +80,10 @@ class Incidents:
         directory: Path,
         clock: Callable[[], float] = time.time,
         monotonic: Callable[[], float] = time.monotonic,
+        robot: Callable[[], str] = lambda: "",
     ) -> None:
-        self.directory = directory
+        self.directory, self.robot = directory, robot
+        self.spans = FaultSpans(monotonic)
         self._clock = clock
         self._monotonic = monotonic
         self._lock = threading.Lock()
@@ -67,6 +110,7 @@ class Incidents:
             "at": at.isoformat(),
             "module": module,
             "what": what,
+            "robot": self.robot(),
             **facts,
         }
         path = self.directory / name

@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 from pydantic import Field
 
-from rn_standard.ops.incidents import Incidents
+from rn_standard.ops.incidents import FaultSpans, Incidents
 from rn_standard.ops.server_log import FILE_NAME
 from roboneuron import Arguments, CallContext, InvalidInputError, Resource, Result, Tool
 from roboneuron.feature import ModuleKind, Modules, read_tail
@@ -26,6 +26,15 @@ _MOST_LOG, _MOST_ANSWER = 8000, 20_000
 """Maximum characters of the log in one record, and of all entries of get_logs together."""
 _MOST_RESOURCE = 40_000
 _LINE = 200
+
+
+Severity = Literal["low", "medium", "high"]
+_ORDER: tuple[Severity, ...] = ("high", "medium", "low")
+_SEVERITIES: Mapping[str, Severity] = {
+    **dict.fromkeys(("exited", "stuck", "silent", "latch_vanished"), "high"),
+    "stalled": "low",
+}
+"""Severity by the word of a fault; the others are medium."""
 
 
 class GetLogs(Arguments):
@@ -68,6 +77,7 @@ class ListIncidents(Arguments):
     id: str | None = Field(
         default=None, max_length=200, description="Only this one, with status, log and actions."
     )
+    all_robots: bool = Field(default=False, description="Of other robots too.")
 
 
 class Incident(Result):
@@ -91,11 +101,27 @@ class Incident(Result):
     )
 
 
-class IncidentsResult(Result):
-    """The newest records, newest first."""
+class IncidentKind(Result):
+    """Incidents of one kind of one module."""
 
     sparse = True
 
+    module: str
+    what: str
+    severity: Severity = Field(description="high: the module did not work; low: it was late")
+    count: int
+    first: str = Field(description="ISO 8601")
+    last: str
+    now: bool = Field(description="it is so now")
+    longest_s: float | None = Field(default=None, description="longest, while this server ran")
+
+
+class IncidentsResult(Result):
+    """What went wrong by kind, worst first; and the newest records, newest first."""
+
+    sparse = True
+
+    kinds: list[IncidentKind] = Field(default_factory=list)
     incidents: list[Incident]
     more: int = Field(description="further records that fit the call")
     directory: str = Field(description="where the whole records are, on the server's host")
@@ -114,6 +140,29 @@ def incident_line(record: Mapping[str, Any]) -> Incident:
         what=str(record.get("what", "")),
         explanation=told if len(told) <= _LINE else f"{told[:_LINE]} ...",
     )
+
+
+def incident_kinds(records: Sequence[Mapping[str, Any]], spans: FaultSpans) -> list[IncidentKind]:
+    """Records (newest first) by module and kind; the worst kinds first."""
+    grouped: dict[tuple[str, str], list[str]] = {}
+    for record in records:
+        key = str(record.get("module", "")), str(record.get("what", ""))
+        grouped.setdefault(key, []).append(str(record.get("at", "")))
+    kinds = [
+        IncidentKind(
+            module=module,
+            what=what,
+            severity=_SEVERITIES.get(what, "medium"),
+            count=len(times),
+            first=times[-1],
+            last=times[0],
+            now=spans.is_now(module, what),
+            longest_s=None if longest_s is None else round(longest_s, 1),
+        )
+        for (module, what), times in grouped.items()
+        for longest_s in (spans.longest_s(module, what),)
+    ]
+    return sorted(kinds, key=lambda kind: (not kind.now, _ORDER.index(kind.severity), -kind.count))
 
 
 def whole_incident(record: Mapping[str, Any]) -> Incident:
@@ -217,7 +266,7 @@ def record_tools(modules: Modules, incidents: Incidents) -> list[Tool]:
 
     async def list_incidents(arguments: ListIncidents, context: CallContext) -> IncidentsResult:
         found = await context.run(lambda _: incidents.listing(200))
-        directory = str(incidents.directory)
+        directory, robot = str(incidents.directory), incidents.robot()
         if arguments.id is not None:
             one = next((record for record in found if record.get("id") == arguments.id), None)
             if one is None:
@@ -227,9 +276,19 @@ def record_tools(modules: Modules, incidents: Incidents) -> list[Tool]:
                     path="id",
                 )
             return IncidentsResult(incidents=[whole_incident(one)], more=0, directory=directory)
-        fitting = [record for record in found if arguments.module in (None, record.get("module"))]
+        fitting = [
+            record
+            for record in found
+            if arguments.module in (None, record.get("module"))
+            and (arguments.all_robots or record.get("robot", "") in ("", robot))
+        ]
         lines = [incident_line(record) for record in fitting[: arguments.entries]]
-        return IncidentsResult(incidents=lines, more=len(fitting) - len(lines), directory=directory)
+        return IncidentsResult(
+            kinds=incident_kinds(fitting, incidents.spans),
+            incidents=lines,
+            more=len(fitting) - len(lines),
+            directory=directory,
+        )
 
     return [
         Tool(
@@ -247,10 +306,9 @@ def record_tools(modules: Modules, incidents: Incidents) -> list[Tool]:
             name="list_incidents",
             title="What went wrong",
             description=(
-                "Faults, one line each, newest first: modules that ended, froze, stalled or "
-                "failed, and restarts. With "
-                "`id` one of them in full: status, log and last actions. Kept across restarts of "
-                "the server."
+                "Faults of this robot: `kinds` with counts, severity, longest and whether it is so "
+                "now; then the newest, a line each. With `id` one of them in full. Kept across "
+                "restarts of the server."
             ),
             arguments=ListIncidents,
             result=IncidentsResult,

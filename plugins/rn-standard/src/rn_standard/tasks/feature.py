@@ -7,7 +7,6 @@ import time
 from collections.abc import Sequence
 from dataclasses import asdict
 from functools import partial
-from typing import TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,8 +17,9 @@ from rn_standard.tasks.approval import Approval, Subject
 from rn_standard.tasks.arbiter import TaskArbiter
 from rn_standard.tasks.events import LEADS, MONITORS, TASKS, EventLog, Watching, check_thresholds
 from rn_standard.tasks.examples import EXAMPLES
-from rn_standard.tasks.history import TaskHistory
+from rn_standard.tasks.history import MotionFacts, TaskHistory
 from rn_standard.tasks.hooks import MonitorSpec
+from rn_standard.tasks.journal import MotionJournal
 from rn_standard.tasks.lifecycle import list_models_tool, start_all_tool
 from rn_standard.tasks.moving import Mover, Places, check_places, move_to_subject, move_to_tool
 from rn_standard.tasks.options import TasksSections
@@ -48,13 +48,6 @@ _CLOSE_S = 3.0
 _POSE_S = 2.0
 
 
-class _Scene(TypedDict):
-    """Robot and model of a task, for the history."""
-
-    robot: str
-    model: dict[str, str]
-
-
 class TasksFeature(Feature[TasksSections]):
     """Adds start_all, list_models, run_task, list_tasks, move_to; events and past tasks as
     resources; prompts.
@@ -62,6 +55,7 @@ class TasksFeature(Feature[TasksSections]):
 
     _arbiter: TaskArbiter | None = None
     _watching: Watching | None = None
+    _journal: MotionJournal | None = None
 
     def check(self, config: Config) -> None:
         """See `Feature.check`."""
@@ -78,7 +72,8 @@ class TasksFeature(Feature[TasksSections]):
         host.events.stop.listen(lambda kind: arbiter.end(f"{kind} was stopped"))
         self._events = EventLog(self.options.events.kept, host.events.resource.tell)
         self._watching = Watching(host, self.options.events, self._events)
-        self._history = TaskHistory(host.state_directory)
+        self._history = TaskHistory(host.state_directory, robot=lambda: str(host.loop.robot_facts))
+        self._journal = MotionJournal(host, self._history)
         places = Places(host, self.options)
         mover = Mover(host, places, self._pose_now)
         task = TaskTool(
@@ -100,6 +95,7 @@ class TasksFeature(Feature[TasksSections]):
             start_all_tool(host),
             run_task_tool(task),
             self._history.tool(),
+            self._journal.tool(),
             move_to_tool(mover, places),
             *([list_models_tool(host)] if named_models(host.config) else []),
         ]
@@ -154,6 +150,8 @@ class TasksFeature(Feature[TasksSections]):
 
     def close(self) -> None:
         """End the running task, if any, and all subscriptions."""
+        if self._journal is not None:
+            self._journal.flush()
         if self._arbiter is not None:
             self._arbiter.end("the server ends", _CLOSE_S)
         if self._watching is not None:
@@ -175,18 +173,18 @@ class TasksFeature(Feature[TasksSections]):
             end.reason,
             attempts=end.attempts,
             took_s=end.took_s,
-            **self._scene(),
+            **self._scene(end.took_s),
         )
 
     def _note_failure(self, instruction: str, error: RoboNeuronError) -> None:
-        self._history.note(instruction, "error", str(error), **self._scene())
+        self._history.note(instruction, "error", str(error), **self._scene(0.0))
 
-    def _scene(self) -> _Scene:
+    def _scene(self, took_s: float) -> MotionFacts:
+        """Model of a task that ended just now, and how fast it moved the arm."""
         plan = self._host.modules.view("inference").plan
-        return {
-            "robot": str(self._host.loop.robot_facts),
-            "model": {} if plan is None else dict(plan.names),
-        }
+        facts: MotionFacts = {"model": {} if plan is None else dict(plan.names)}
+        speed = None if self._journal is None else self._journal.fastest_m_s(took_s)
+        return facts if speed is None else facts | {"max_tcp_speed_m_s": speed}
 
     def _predicates(self) -> str:
         monitors = {

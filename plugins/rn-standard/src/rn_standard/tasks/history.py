@@ -1,4 +1,4 @@
-"""History of tasks, kept across restarts: instruction, robot, model and outcome."""
+"""History of tasks and of all other motions, kept across restarts: words, robot, model, outcome."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import IO
 
 from pydantic import Field
+from typing_extensions import TypedDict, Unpack
 
 from roboneuron import (
     Arguments,
@@ -25,15 +26,16 @@ from roboneuron import (
 
 FILE_NAME = "tasks.jsonl"
 TASKS_URI = "roboneuron://tasks/history"
-KEPT = 200
-"""Number of tasks kept; the file is shortened when it contains twice as many."""
+RUN_TASK = "run_task"
+KEPT = 1000
+"""Number of motions kept; the file is shortened when it contains twice as many."""
 _IN_RESOURCE = 20
 _MOST_TEXT = 500
 _log = logging.getLogger(__name__)
 
 
 class PastTask(Result):
-    """One call of run_task."""
+    """One call that moved the robot: run_task, or another tool."""
 
     at: str = Field(description="when it ended, ISO 8601")
     instruction: str
@@ -45,6 +47,29 @@ class PastTask(Result):
     model: dict[str, str] = Field(
         default_factory=dict, description="what the policy was started with, by argument"
     )
+    tool: str = Field(default=RUN_TASK, description="the called tool")
+    who: str = Field(default="", description="the client")
+    calls: int = Field(default=1, description="so many like it, one after the other")
+    max_tcp_speed_m_s: float | None = Field(default=None, description="highest, as measured")
+    limits: dict[str, int] = Field(
+        default_factory=dict, description="limits that acted, with the number of their commands"
+    )
+    objects_moved: list[object] = Field(
+        default_factory=list, description="others than the one it was about, if known"
+    )
+
+
+class MotionFacts(TypedDict, total=False):
+    """Further fields of `PastTask`."""
+
+    robot: str
+    model: dict[str, str]
+    tool: str
+    who: str
+    calls: int
+    max_tcp_speed_m_s: float | None
+    limits: dict[str, int]
+    objects_moved: list[object]
 
 
 class ListTasks(Arguments):
@@ -52,6 +77,7 @@ class ListTasks(Arguments):
 
     entries: int = Field(default=10, ge=1, le=50, description="At most so many.")
     contains: str = Field(default="", max_length=200, description="Words of the instruction.")
+    all_robots: bool = Field(default=False, description="Of other robots too.")
 
 
 class TasksResult(Result):
@@ -69,13 +95,18 @@ class TaskHistory:
     Args:
         directory: the state directory.
         now: returns the present time.
+        robot: returns the present robot, real or simulated.
     """
 
     def __init__(
-        self, directory: Path, now: Callable[[], datetime] = lambda: datetime.now(UTC)
+        self,
+        directory: Path,
+        now: Callable[[], datetime] = lambda: datetime.now(UTC),
+        robot: Callable[[], str] = lambda: "",
     ) -> None:
-        self._path, self._now = directory / FILE_NAME, now
+        self._path, self._now, self.robot = directory / FILE_NAME, now, robot
         self._lock = threading.Lock()
+        self._count: int | None = None
 
     def note(
         self,
@@ -85,11 +116,10 @@ class TaskHistory:
         *,
         attempts: int = 0,
         took_s: float = 0.0,
-        robot: str = "",
-        model: dict[str, str] | None = None,
+        **facts: Unpack[MotionFacts],
     ) -> None:
-        """Add a completed task. A failed write is only logged, because the history must not fail a
-        task.
+        """Add a completed motion. A failed write is only logged, because the history must not fail
+        a task.
         """
         task = PastTask(
             at=self._now().isoformat(timespec="seconds"),
@@ -98,8 +128,7 @@ class TaskHistory:
             attempts=attempts,
             reason=reason[:_MOST_TEXT],
             took_s=round(took_s, 1),
-            robot=robot,
-            model=model or {},
+            **({"robot": self.robot()} | facts),
         )
         with self._lock:
             try:
@@ -108,15 +137,17 @@ class TaskHistory:
                 _log.error("The history of tasks cannot be written: %s", error)
 
     def _append(self, line: str) -> None:
-        known = self._lines()
-        if len(known) < 2 * KEPT:
+        count = len(self._lines()) if self._count is None else self._count
+        if count < 2 * KEPT:
             with _private(self._path, os.O_APPEND) as file:
                 file.write(line + "\n")
+            self._count = count + 1
             return
         whole = self._path.with_suffix(".new")
         with _private(whole, os.O_TRUNC) as file:
-            file.write("\n".join([*known[1 - KEPT :], line]) + "\n")
+            file.write("\n".join([*self._lines()[1 - KEPT :], line]) + "\n")
         whole.replace(self._path)
+        self._count = KEPT
 
     def _lines(self) -> list[str]:
         try:
@@ -124,14 +155,21 @@ class TaskHistory:
         except FileNotFoundError:
             return []
 
-    def newest(self, contains: str = "") -> list[PastTask]:
+    def newest(
+        self, contains: str = "", *, tool: str = RUN_TASK, all_robots: bool = True
+    ) -> list[PastTask]:
         """Past tasks, newest first, whose instruction contains all these words. Incomplete lines
         after a crash are left out.
+
+        Args:
+            contains: words.
+            tool: only calls of this one; of all tools if empty.
+            all_robots: of other robots than the present one too.
 
         Raises:
             OSError: the file cannot be read.
         """
-        words = contains.lower().split()
+        words, robot = contains.lower().split(), self.robot()
         found: list[PastTask] = []
         with self._lock:
             lines = self._lines()[-KEPT:]
@@ -140,7 +178,8 @@ class TaskHistory:
                 task = foreign.decode_model(PastTask, line, "a past task")
             except ForeignDataError:
                 continue
-            if all(word in task.instruction.lower() for word in words):
+            is_meant = tool in ("", task.tool) and (all_robots or task.robot in ("", robot))
+            if is_meant and all(word in task.instruction.lower() for word in words):
                 found.append(task)
         return found
 
@@ -162,7 +201,9 @@ class TaskHistory:
         """list_tasks."""
 
         async def list_tasks(arguments: ListTasks, context: CallContext) -> TasksResult:
-            found = await context.run(lambda _: self.newest(arguments.contains))
+            found = await context.run(
+                lambda _: self.newest(arguments.contains, all_robots=arguments.all_robots)
+            )
             shown = found[: arguments.entries]
             return TasksResult(tasks=shown, more=len(found) - len(shown))
 

@@ -45,3 +45,8 @@ class ArmTools(Feature[ArmToolsOptions]):
         host.events.exposed.listen(derive)
         derive()
         return ()
+
+    def fastest_m_s(self, since_s: float) -> float | None:
+        """Highest speed of a TCP since a monotonic time [s], as measured [m/s]; None if not."""
+        speeds = [pose.speeds.fastest_since(since_s) for pose in list(self.poses.values())]
+        return max((speed for speed in speeds if speed is not None), default=None)

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from roboneuron import Host, NotReadyError, Pose
 
@@ -17,6 +19,41 @@ if TYPE_CHECKING:
 _AGE_S = 0.5
 """Maximum age of measurements."""
 _POLL_S = 0.01
+_SPAN_S, _GAP_S = 0.05, 0.5
+"""Times between which a speed is measured: noise, and interruptions, are no speed."""
+_SECONDS = 3600
+F64 = NDArray[np.float64]
+
+
+class SpeedMeter:
+    """Highest speeds of the TCP, by the second; written by one thread, read by any."""
+
+    def __init__(self) -> None:
+        self._from: tuple[float, F64] | None = None
+        self._seconds: deque[tuple[float, float]] = deque(maxlen=_SECONDS)
+
+    def note(self, stamp_s: float, position_m: F64, now_s: float) -> None:
+        """Add a measurement: its time by the robot's stamp [s], position of the TCP (3,) [m], and
+        the monotonic time of its arrival.
+        """
+        if self._from is None or not 0 <= stamp_s - self._from[0] <= _GAP_S:
+            self._from = stamp_s, position_m
+            return
+        past_s = stamp_s - self._from[0]
+        if past_s < _SPAN_S:
+            return
+        speed_m_s = float(np.linalg.norm(position_m - self._from[1])) / past_s
+        self._from = stamp_s, position_m
+        if self._seconds and now_s - self._seconds[-1][0] < 1.0:
+            began_s, before = self._seconds[-1]
+            self._seconds[-1] = began_s, max(before, speed_m_s)
+        else:
+            self._seconds.append((now_s, speed_m_s))
+
+    def fastest_since(self, since_s: float) -> float | None:
+        """Highest speed [m/s] since a monotonic time [s], to the second; None if not measured."""
+        speeds = [speed for at_s, speed in tuple(self._seconds) if at_s > since_s - 1.0]
+        return max(speeds, default=None)
 
 
 class MeasuredPose:
@@ -33,6 +70,7 @@ class MeasuredPose:
         self._lock = threading.Lock()
         self._is_open = False
         self._newest: tuple[float, object] | None = None
+        self.speeds = SpeedMeter()
         self.listeners: list[Callable[[float], object]] = []
         """Called with the height of the TCP [m] of each message, on the thread of the ROS node."""
 
@@ -79,7 +117,10 @@ class MeasuredPose:
                 self._is_open = True
 
     def _take(self, message: PoseStamped) -> None:
-        self._newest = time.monotonic(), message
+        now_s, stamp, place = time.monotonic(), message.header.stamp, message.pose.position
+        self._newest = now_s, message
+        stamp_s = stamp.sec + stamp.nanosec * 1e-9
+        self.speeds.note(stamp_s, np.array([place.x, place.y, place.z]), now_s)
         for listener in self.listeners:
             listener(float(message.pose.position.z))
 

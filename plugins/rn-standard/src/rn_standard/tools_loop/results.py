@@ -122,6 +122,7 @@ class StatusResult(Result):
 
     sparse = True
 
+    summary: str = Field(description="how it is, in one sentence")
     robot: RobotStatus
     modules: list[ModuleStatus]
     emergency_stop: bool = Field(

@@ -12,7 +12,7 @@ from typing import Any
 
 from rn_standard.tools_loop.results import ModuleStatus, RobotStatus, StatusResult
 from roboneuron import CallContext, Host, NoArguments, Resource, Tool, __version__
-from roboneuron.feature import ClosedLoop
+from roboneuron.feature import FAULTS, ClosedLoop
 
 STATUS_URI = "roboneuron://status"
 
@@ -39,6 +39,7 @@ def status(host: Host) -> StatusResult:
     if unchecked := loop.unchecked_distances:
         robot = robot.model_copy(update={"unchecked": unchecked})
     return StatusResult(
+        summary=summary(host),
         robot=robot,
         modules=[ModuleStatus.of(view) for view in loop.modules.views()],
         emergency_stop=loop.emergency_stop.is_latched(),
@@ -50,6 +51,25 @@ def status(host: Host) -> StatusResult:
         versions=_versions(),
         log_directory=str(loop.modules.log_directory),
     )
+
+
+def summary(host: Host) -> str:
+    """One sentence: which robot, what does not work, what moves it, the emergency stop."""
+    loop, now_s = host.loop, time.monotonic()
+    views = loop.modules.views()
+    faults = [
+        f"{view.kind} is {view.health(now_s)}" for view in views if view.health(now_s) in FAULTS
+    ]
+    running = [view.kind for view in views if view.phase == "running"]
+    works = f"{', '.join(running)} {'works' if len(running) == 1 else 'work'}"
+    state = "; ".join(faults) or (works if running else "nothing is started")
+    moved = f"moved by {', '.join(host.motions)}" if host.motions else "nothing moves it"
+    cause = loop.emergency_stop.cause()
+    stop = ""
+    if loop.emergency_stop.is_latched():
+        stop = f"; the emergency stop is latched{f' ({cause})' if cause else ''}"
+    robot = str(loop.robot_facts)
+    return f"{robot[0].upper()}{robot[1:]}: {state}; {moved}{stop}."
 
 
 def _tightened(loop: ClosedLoop) -> dict[str, object]:
@@ -68,9 +88,8 @@ def status_tool(host: Host) -> Tool[NoArguments]:
         name="get_status",
         title="Status of everything",
         description=(
-            "Which robot this is, real or simulated; state, rates and errors of each module; "
-            "whether the emergency "
-            "stop is latched, and by whom."
+            "How it is, in one sentence; which robot this is, real or simulated; state, rates and "
+            "errors of each module; whether the emergency stop is latched, and by whom."
         ),
         arguments=NoArguments,
         result=StatusResult,

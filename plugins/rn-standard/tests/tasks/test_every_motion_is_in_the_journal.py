@@ -1,0 +1,147 @@
+"""get_journal: what clients' calls have moved, bounded, paged, of this robot."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import anyio
+import pytest
+from mcp import Client, types
+
+from rn_standard.direct_path.plugin import FEATURE as DIRECT_PATH
+from rn_standard.selection.plugin import FEATURE as SELECTION
+from rn_standard.tasks.history import TaskHistory
+from rn_standard.tasks.plugin import FEATURE
+from rn_standard.tools_arm.plugin import FEATURE as ARM
+from rn_standard.tools_arm.plugin import STOP_MOTION
+from rn_testing.fakes import fake_registry
+from roboneuron import Arguments, CallContext, RefusedError, Result, Tool
+from roboneuron.config import parse_config
+from roboneuron.server.app import Application
+
+
+class Turn(Arguments):
+    """Arguments of a motion."""
+
+    angle_rad: float = 0.0
+
+
+async def turned(arguments: Turn, context: CallContext) -> Result:
+    if arguments.angle_rad > 3:
+        raise RefusedError("Too far.", rule="a test")
+    return Result()
+
+
+def motion(name: str = "turn", **more: Any) -> Tool[Turn]:
+    return Tool(
+        name=name,
+        title=name,
+        description=name,
+        arguments=Turn,
+        result=Result,
+        handler=turned,
+        open_world=True,
+        **{"simulated_by": frozenset({"limits"})} | more,
+    )
+
+
+@pytest.fixture
+def application(tmp_path: Path) -> Iterator[Application]:
+    registry = fake_registry(DIRECT_PATH, SELECTION, FEATURE, ARM, STOP_MOTION)
+    made = Application(
+        parse_config('[robot]\nname = "gantry"\n', registry=registry),
+        plugins=lambda: registry,
+        directory=tmp_path,
+        command=lambda python: pytest.fail("nothing may be spawned"),
+    )
+    made.tools.add_all([motion(), motion("lift"), motion("look_at", simulated_by=frozenset())])
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def call(application: Application) -> Callable[..., types.CallToolResult]:
+    def call(name: str, /, **arguments: Any) -> types.CallToolResult:
+        async def ask() -> types.CallToolResult:
+            async with Client(application.server) as client:
+                return await client.call_tool(name, arguments)
+
+        return anyio.run(ask)
+
+    return call
+
+
+def journal(call: Callable[..., types.CallToolResult], **arguments: Any) -> dict[str, Any]:
+    answer = call("get_journal", **arguments)
+    assert not answer.is_error, answer.content
+    return dict(answer.structured_content or {})
+
+
+def test_a_motion_is_told_with_words_tool_outcome_and_duration(
+    call: Callable[..., types.CallToolResult],
+) -> None:
+    call("turn", angle_rad=0.5)
+    (entry,) = journal(call)["entries"]
+    assert (entry["tool"], entry["kind"], entry["outcome"]) == ("turn", "tool", "done")
+    assert "0.5" in entry["instruction"]
+    assert datetime.fromisoformat(entry["at"]) <= datetime.now(UTC)
+
+
+def test_a_refused_motion_is_told_with_its_reason(
+    call: Callable[..., types.CallToolResult],
+) -> None:
+    call("turn", angle_rad=4.0)
+    (entry,) = journal(call)["entries"]
+    assert (entry["outcome"], entry["reason"]) == ("refused", "Too far.")
+
+
+def test_what_moves_nothing_is_not_told(call: Callable[..., types.CallToolResult]) -> None:
+    call("look_at")
+    call("turn", simulate=True)
+    call("turn", angle_rad="far")
+    assert journal(call)["entries"] == []
+
+
+def test_short_calls_of_one_tool_are_one_entry(
+    call: Callable[..., types.CallToolResult],
+) -> None:
+    for _ in range(5):
+        call("turn", angle_rad=0.1)
+    call("lift")
+    call("stop_motion")
+    entries = journal(call)["entries"]
+    assert [(one["tool"], one.get("calls", 1)) for one in entries] == [
+        ("stop_motion", 1),
+        ("lift", 1),
+        ("turn", 5),
+    ]
+    assert [one["kind"] for one in entries] == ["stop", "tool", "tool"]
+    assert [one["tool"] for one in journal(call, kind="stop")["entries"]] == ["stop_motion"]
+
+
+def test_the_journal_is_read_by_pages_and_from_a_time_on(
+    call: Callable[..., types.CallToolResult],
+) -> None:
+    for _ in range(3):
+        call("turn")
+        call("lift")
+    first, second = journal(call, entries=4), journal(call, entries=4, skip=4)
+    assert (len(first["entries"]), first["more"]) == (4, 2)
+    assert (len(second["entries"]), second["more"]) == (2, 0)
+    later = (datetime.now(UTC) + timedelta(hours=1)).isoformat()
+    assert journal(call, since=later)["entries"] == []
+    assert call("get_journal", since="yesterday").is_error
+
+
+def test_other_robots_are_told_if_asked_for(
+    call: Callable[..., types.CallToolResult], tmp_path: Path
+) -> None:
+    TaskHistory(tmp_path, robot=lambda: "real robot other").note("hand over", "succeeded", "")
+    for tool in ("get_journal", "list_tasks"):
+        key = "entries" if tool == "get_journal" else "tasks"
+        assert (call(tool).structured_content or {})[key] == []
+        (one,) = (call(tool, all_robots=True).structured_content or {})[key]
+        assert one["robot"] == "real robot other"
