@@ -65,7 +65,7 @@ class MeasuresSpeed(Protocol):
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class _Begun:
+class _MotionStart:
     """What was so when a call began: monotonic time, and the newest report of control."""
 
     began_s: float
@@ -78,7 +78,7 @@ class _Row:
 
     key: tuple[str, ...]
     words: str
-    begun: _Begun
+    begun: _MotionStart
     ended_s: float
     reason: str
     calls: int = 1
@@ -100,7 +100,7 @@ class MotionJournal:
     def __init__(self, host: Host, history: TaskHistory) -> None:
         self._host, self._history = host, history
         self._lock = threading.Lock()
-        self._begun: dict[int, _Begun] = {}
+        self._begun: dict[int, _MotionStart] = {}
         self._row: _Row | None = None
         host.events.call_begun.listen(self._on_begin)
         host.events.call_ended.listen(self._on_end)
@@ -110,7 +110,7 @@ class MotionJournal:
         speed = self._fastest(time.monotonic() - past_s) if past_s > 0 else None
         return None if speed is None else round(speed, 3)
 
-    def facts_since(self, begun: _Begun) -> MotionFacts:
+    def facts_since(self, begun: _MotionStart) -> MotionFacts:
         """Highest speed, and the limits that acted, since then."""
         facts: MotionFacts = {}
         if (speed := self._fastest(begun.began_s)) is not None:
@@ -131,7 +131,7 @@ class MotionJournal:
     def _on_begin(self, call: IncomingCall) -> None:
         # judged at its end: what comes before a message is sent has to be short
         report = self._host.loop.modules.slot("control").report
-        self._begun[id(call)] = _Begun(began_s=time.monotonic(), report=report)
+        self._begun[id(call)] = _MotionStart(began_s=time.monotonic(), report=report)
 
     def _on_end(self, ended: EndedCall) -> None:
         begun = self._begun.pop(id(ended.call), None)
