@@ -62,7 +62,7 @@ class _Poses:
             return self._history.at(stamp_ns)
 
 
-class _Watch:
+class _CellWatch:
     """Subscriptions to the cameras and arms of a robot, for one view."""
 
     def __init__(self, host: Host, profile: RobotProfile | None, newer_than_ns: int) -> None:
@@ -163,7 +163,7 @@ def take_view(
     Raises:
         RoboNeuronError: ROS cannot be joined.
     """
-    watch = _Watch(host, profile, newer_than_ns)
+    watch = _CellWatch(host, profile, newer_than_ns)
     deadline_s = time.monotonic() + wait_s
     try:
         watch.open()

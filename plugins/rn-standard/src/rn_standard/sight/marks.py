@@ -20,7 +20,7 @@ _MOST_WORD = 40
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Look:
+class CellLook:
     """One look at the cell.
 
     Attributes:
@@ -101,7 +101,7 @@ def scale_of(frame: Frame) -> float:
     return max(1.0, width / MOST_PX)
 
 
-def pixels_of(look: Look) -> dict[str, dict[int, tuple[int, int]]]:
+def pixels_of(look: CellLook) -> dict[str, dict[int, tuple[int, int]]]:
     """Where each mark is, in each picture `shown` of a camera that saw its object, by camera."""
     found: dict[str, dict[int, tuple[int, int]]] = {}
     for image in look.view.images:

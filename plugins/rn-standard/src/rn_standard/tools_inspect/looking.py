@@ -11,7 +11,7 @@ from pydantic import Field
 
 from rn_standard.sight.locator import LocatedObject
 from rn_standard.sight.marks import (
-    Look,
+    CellLook,
     find_object,
     marked,
     name_of,
@@ -40,9 +40,9 @@ from roboneuron.feature import ExposedEndpoint
 
 _HELD_M = 0.06
 """Distance from the TCP within which an object is the one that the hand holds."""
-LookNow = Callable[[str], Look]
+LookNow = Callable[[str], CellLook]
 """Takes a look for a client, by its name. Raises RoboNeuronError."""
-LastLook = Callable[[str], "Look | None"]
+LastLook = Callable[[str], "CellLook | None"]
 """The last look of a client."""
 
 
@@ -148,7 +148,7 @@ def seen_object(one: LocatedObject, mark: int, now_ns: int) -> SeenObject:
 
 
 def hands_of(
-    host: Host, exposed: ExposedEndpoint | None, profile: RobotProfile | None, look: Look
+    host: Host, exposed: ExposedEndpoint | None, profile: RobotProfile | None, look: CellLook
 ) -> list[Hand]:
     """Each hand, and which object it holds; blocks until fingers rest."""
     runs = host.modules.view("robot").phase == "running"
@@ -169,7 +169,7 @@ def hands_of(
     return hands
 
 
-def held_name(look: Look, pose: Pose | None) -> str:
+def held_name(look: CellLook, pose: Pose | None) -> str:
     """Name of the object between the fingers; empty if none is seen there."""
     near = [
         (float(np.linalg.norm(one.position_m - pose.position_m)), name_of(one))
@@ -267,7 +267,7 @@ def locate_tool(
     )
 
 
-def _of_mark(look: Look, mark: int) -> LocatedPlace:
+def _of_mark(look: CellLook, mark: int) -> LocatedPlace:
     one = find_object(look.objects, mark)
     top = one.position_m + np.array([0.0, 0.0, one.size_m[2] / 2])
     return LocatedPlace(
@@ -280,7 +280,7 @@ def _of_mark(look: Look, mark: int) -> LocatedPlace:
     )
 
 
-def _of_pixel(look: Look, camera: str, pixel: list[float], table_m: float) -> LocatedPlace:
+def _of_pixel(look: CellLook, camera: str, pixel: list[float], table_m: float) -> LocatedPlace:
     """Raises InvalidInputError, NotReadyError, RefusedError."""
     frames = {frame.camera: frame for frame in look.view.frames}
     known = ", ".join({**frames, **look.view.problems})

@@ -10,7 +10,7 @@ from typing import Any, cast
 from rn_standard.sight.cell_view import take_view
 from rn_standard.sight.hooks import LocatorSpec
 from rn_standard.sight.locator import Locator
-from rn_standard.sight.marks import Look
+from rn_standard.sight.marks import CellLook
 from rn_standard.sight.options import SightOptions
 from rn_standard.tools_inspect.looking import locate_tool, look_tool
 from roboneuron import Feature, Host, RoboNeuronError, Tool
@@ -28,7 +28,7 @@ class Sight(Feature[SightOptions]):
         super().__init__(options)
         self._lock = threading.Lock()
         self._locator: Locator | None = None
-        self._looks: OrderedDict[str, Look] = OrderedDict()
+        self._looks: OrderedDict[str, CellLook] = OrderedDict()
 
     def tools(self, host: Host) -> Sequence[Tool[Any]]:
         """look and locate."""
@@ -55,7 +55,7 @@ class Sight(Feature[SightOptions]):
             self._locator = locator
         return self._locator
 
-    def look(self, who: str, newer_than_ns: int = 0) -> Look:
+    def look(self, who: str, newer_than_ns: int = 0) -> CellLook:
         """Look at the cell for a client, whose marks these become; blocks for at most a second.
 
         Args:
@@ -76,14 +76,14 @@ class Sight(Feature[SightOptions]):
             except RoboNeuronError as error:
                 found, failure = (), str(error)
             objects = tuple(sorted(found, key=lambda one: tuple(one.position_m.tolist())))
-            look = Look(view=view, objects=objects, failure=failure)
+            look = CellLook(view=view, objects=objects, failure=failure)
             self._looks[who] = look
             self._looks.move_to_end(who)
             if len(self._looks) > _MOST_CLIENTS:
                 self._looks.popitem(last=False)
         return look
 
-    def last_look(self, who: str) -> Look | None:
+    def last_look(self, who: str) -> CellLook | None:
         """The last look of a client."""
         with self._lock:
             return self._looks.get(who)
