@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
 import socket
 import threading
@@ -20,7 +21,7 @@ from rn_link.machine import Peer, read_machine
 from rn_link_pairing import pairing
 from rn_link_pairing.keeping import become_hub
 from rn_link_pairing.pairing import ATTEMPTS, PairingHub, join, new_code, open_listener
-from rn_link_pairing.pake import PARTIES, Exchange, PairingError, generator
+from rn_link_pairing.pake import Exchange, PairingError
 from roboneuron import ConfigurationError
 
 CODE, OTHER = "123456", "123457"
@@ -61,35 +62,48 @@ def admitting(
     return in_background(lambda: admission.serve(listener, CODE, limit_s))
 
 
-def test_the_generator_is_that_of_the_draft() -> None:
-    session = bytes.fromhex("7e4b4791d6a8ef019b936c79fb7f2c57")
-    found = generator(b"Password", b"\nAinitiator\nBresponder", session)
-    assert found.hex() == "4e6098733061c0e8486611a904fe5edb049804d26130a44131a6229e55c5c321"
-
-
 def test_equal_codes_make_equal_keys_and_others_do_not() -> None:
-    session = bytes(16)
-    member, hub, stranger = (
-        Exchange(CODE, session),
-        Exchange(CODE, session),
-        Exchange(OTHER, session),
-    )
-    sealed = member.keys(hub.share, is_hub=False)[0].seal(b"hello")
-    assert hub.keys(member.share, is_hub=True)[0].open(sealed) == b"hello"
-    with pytest.raises(PairingError, match="code is not that"):
-        stranger.keys(member.share, is_hub=True)[0].open(sealed)
-    with pytest.raises(PairingError, match="code is not that"):
-        hub.keys(member.share, is_hub=True)[1].open(sealed)
+    member = Exchange(CODE, is_hub=False)
+    hub, stranger = Exchange(CODE, is_hub=True), Exchange(OTHER, is_hub=True)
+    to_hub, _ = member.keys(hub.share)
+    sealed = to_hub.seal(b"hello")
+    at_hub, from_hub = hub.keys(member.share)
+    assert at_hub.open(sealed) == b"hello"
+    for sealer in (from_hub, *stranger.keys(member.share)):
+        with pytest.raises(PairingError, match="code is not that"):
+            sealer.open(sealed)
 
 
-@pytest.mark.parametrize("point", [bytes(32), (1).to_bytes(32, "little")])
-def test_a_share_that_would_fix_the_key_is_refused(point: bytes) -> None:
+IDENTITY = (1).to_bytes(32, "little")
+ORDER_2 = (2**255 - 20).to_bytes(32, "little")
+"""Points of small order, which would determine the key."""
+
+
+@pytest.mark.parametrize(
+    "share",
+    [
+        b"",
+        b"A",
+        b"A" + bytes(31),
+        b"A" + bytes(32),
+        b"A" + IDENTITY,
+        b"A" + ORDER_2,
+        b"A" + b"\xff" * 32,
+        b"A" + bytes(range(32)),
+        b"B" + IDENTITY,
+        b"?" + IDENTITY,
+        b"A" + bytes(64),
+    ],
+)
+def test_a_share_that_is_none_is_refused(share: bytes) -> None:
     with pytest.raises(PairingError, match="no valid share"):
-        Exchange(CODE, bytes(16)).keys(point, is_hub=True)
+        Exchange(CODE, is_hub=True).keys(share)
 
 
-def test_parties_are_part_of_the_key() -> None:
-    assert generator(b"1", PARTIES, b"") != generator(b"1", b"", b"")
+def test_a_share_that_is_sent_back_is_refused() -> None:
+    hub = Exchange(CODE, is_hub=True)
+    with pytest.raises(PairingError, match="no valid share"):
+        hub.keys(b"A" + hub.share[1:])
 
 
 def test_a_machine_with_the_code_is_admitted(
@@ -142,7 +156,8 @@ def test_a_peer_that_leaves_after_the_share_has_used_an_attempt(
     hub: Path, listener: socket.socket
 ) -> None:
     admitted = admitting(hub, listener, [])
-    message = b'{"session": "' + b"00" * 16 + b'", "share": "' + b"09" + b"00" * 31 + b'"}'
+    share = Exchange(OTHER, is_hub=False).share
+    message = json.dumps({"share": share.hex()}).encode()
     for _ in range(ATTEMPTS):
         with socket.create_connection(listener.getsockname()) as connection:
             connection.sendall(len(message).to_bytes(4, "big") + message)

@@ -36,7 +36,6 @@ PAIRING_S = 300.0
 ATTEMPTS = 3
 """Number of attempts; each tries one of a million codes."""
 _ATTEMPT_S = 10.0
-_SESSION = 16
 _MOST_SILENT = 64
 """Connections that have sent no message yet."""
 _SLICE_S = 0.1
@@ -72,7 +71,6 @@ class _Asking(NamedTuple):
     connection: socket.socket
     wire: Wire
     address: str
-    session: bytes
     share: bytes
 
 
@@ -143,15 +141,14 @@ class _Waiting:
     def _read(self, connection: socket.socket, address: str) -> None:
         wire = Wire(connection, self.deadline_s())
         try:
-            session, share = map(to_bytes, wire.receive("session", "share"))
-            if len(session) != _SESSION:
-                raise PairingError("the other side does not use this protocol")
+            (share,) = wire.receive("share")
+            asking = _Asking(connection, wire, address, to_bytes(share))
         except (PairingError, OSError) as error:
             if not self._is_closed.is_set():
                 self._notify(f"{address}: {error}.")
             connection.close()
         else:
-            self._asking.put(_Asking(connection, wire, address, session, share))
+            self._asking.put(asking)
         finally:
             with suppress(ValueError):
                 self._silent.remove(connection)
@@ -225,8 +222,8 @@ class PairingHub:
 
     def _admit(self, asking: _Asking, code: str) -> Peer:
         wire = asking.wire
-        exchange = Exchange(code, asking.session)
-        to_hub, to_member = exchange.keys(asking.share, is_hub=True)
+        exchange = Exchange(code, is_hub=True)
+        to_hub, to_member = exchange.keys(asking.share)
         try:
             # from here on the other side can try a code, even without answering
             wire.send(share=exchange.share.hex())
@@ -308,11 +305,10 @@ def join(
 
 
 def _agree(wire: Wire, code: str) -> tuple[Sealer, Sealer]:
-    session = secrets.token_bytes(_SESSION)
-    exchange = Exchange(code, session)
-    wire.send(session=session.hex(), share=exchange.share.hex())
+    exchange = Exchange(code, is_hub=False)
+    wire.send(share=exchange.share.hex())
     (share,) = wire.receive("share")
-    return exchange.keys(to_bytes(share), is_hub=False)
+    return exchange.keys(to_bytes(share))
 
 
 def _request(key: ec.EllipticCurvePrivateKey) -> str:

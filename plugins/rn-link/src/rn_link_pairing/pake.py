@@ -1,23 +1,22 @@
-"""CPace: a strong key from a six-digit code; each attempt can try one code.
+"""A strong key from a six-digit code by SPAKE2; each attempt can try one code.
 
-Source: draft-irtf-cfrg-cpace, group X25519 with SHA-512; the map is Elligator 2 (RFC 9380, 6.7.1).
+SPAKE2 is that of the library `spake2`, which magic-wormhole uses too. It does not compute in
+constant time: its author says what that may tell about the code, which is valid for five minutes
+and three attempts.
 """
 
 from __future__ import annotations
 
-import hashlib
-
 from cryptography.exceptions import InvalidTag
 from cryptography.hazmat.primitives import hashes
-from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey, X25519PublicKey
 from cryptography.hazmat.primitives.ciphers.aead import ChaCha20Poly1305
 from cryptography.hazmat.primitives.kdf.hkdf import HKDF
+from spake2 import SPAKE2_A, SPAKE2_B, SPAKEError
+from spake2.ed25519_basic import NotOnCurve
 
-PARTIES = b"\x06member\x03hub"
-_DOMAIN = b"CPace255"
-_PRIME = 2**255 - 19
-_A = 486662
-_BLOCK = 128
+_MEMBER, _HUB = b"roboneuron link member", b"roboneuron link hub"
+_SHARE = 33
+"""Length of a share: the side and a point."""
 _NONCE = bytes(12)
 """Constant nonce: each key seals one message."""
 
@@ -26,63 +25,34 @@ class PairingError(ValueError):
     """The other side does not know the code, or does not use this protocol."""
 
 
-def generator(code: bytes, parties: bytes, session: bytes) -> bytes:
-    """The u coordinate of the curve's point for the code."""
-    padding = max(0, _BLOCK - 1 - len(_framed(code)) - len(_framed(_DOMAIN)))
-    parts = (_DOMAIN, code, bytes(padding), parties, session)
-    digest = hashlib.sha512(b"".join(map(_framed, parts))).digest()[:32]
-    element = (int.from_bytes(digest, "little") & (2**255 - 1)) % _PRIME
-    candidate = -_A * pow(1 + 2 * element * element, -1, _PRIME) % _PRIME
-    on_curve = candidate * (candidate * candidate + _A * candidate + 1)
-    is_square = pow(on_curve, (_PRIME - 1) // 2, _PRIME) in (0, 1)
-    u = candidate if is_square else (-candidate - _A) % _PRIME
-    return u.to_bytes(32, "little")
-
-
-def _framed(part: bytes) -> bytes:
-    """Prefix a part with its length; lengths beyond 127, which take more bytes in the draft, are
-    refused.
-    """
-    if len(part) > 127:
-        raise PairingError("a part of the pairing is too long")
-    return bytes([len(part)]) + part
-
-
-def session_key(session: bytes, secret: bytes, *shares: bytes) -> bytes:
-    """Return the draft's ISK; `shares` are the member's, its data, the hub's and its data."""
-    parts = (_DOMAIN + b"_ISK", session, secret, *shares)
-    return hashlib.sha512(b"".join(map(_framed, parts))).digest()
-
-
 class Exchange:
     """One side of one attempt.
 
     Args:
         code: the code typed by the person or shown by the hub.
-        session: random bytes from the member.
+        is_hub: it is the hub's side.
+
+    Attributes:
+        share: for the other side.
     """
 
-    def __init__(self, code: str, session: bytes) -> None:
-        self._session = session
-        self._secret = X25519PrivateKey.generate()
-        self._generator = generator(code.encode(), PARTIES, session)
-        self.share = self._times(self._generator)
+    def __init__(self, code: str, *, is_hub: bool) -> None:
+        side = SPAKE2_B if is_hub else SPAKE2_A
+        self._side = side(code.encode(), idA=_MEMBER, idB=_HUB)
+        self.share: bytes = self._side.start()
 
-    def _times(self, point: bytes) -> bytes:
-        try:
-            return self._secret.exchange(X25519PublicKey.from_public_bytes(point))
-        except ValueError as error:  # a point of small order, which would determine the key
-            raise PairingError("the other side sent no valid share") from error
-
-    def keys(self, other: bytes, *, is_hub: bool) -> tuple[Sealer, Sealer]:
+    def keys(self, other: bytes) -> tuple[Sealer, Sealer]:
         """Return the sealers of the member's message and the hub's.
 
         Raises:
             PairingError: the share of the other side is invalid.
         """
-        secret = self._times(other)
-        member, hub = (other, self.share) if is_hub else (self.share, other)
-        material = session_key(self._session, secret, member, b"", hub, b"")
+        if len(other) != _SHARE:
+            raise PairingError("the other side sent no valid share")
+        try:
+            material = self._side.finish(other)
+        except (SPAKEError, NotOnCurve, ValueError) as error:
+            raise PairingError("the other side sent no valid share") from error
         return Sealer(material, b"member to hub"), Sealer(material, b"hub to member")
 
 
@@ -90,7 +60,7 @@ class Sealer:
     """Seals and opens the only message of one direction."""
 
     def __init__(self, material: bytes, direction: bytes) -> None:
-        key = HKDF(hashes.SHA256(), 32, None, b"roboneuron link 1, " + direction).derive(material)
+        key = HKDF(hashes.SHA256(), 32, None, b"roboneuron link 2, " + direction).derive(material)
         self._cipher = ChaCha20Poly1305(key)
 
     def seal(self, content: bytes) -> bytes:
