@@ -40,7 +40,7 @@ NEEDS = {
     "inference": {"stepped"},
     "limits": {"tools_arm"},
     "ops": {"tools_loop"},
-    "simulate": {"direct_path", "tasks", "tools_arm", "tools_ros"},
+    "simulate": {"direct_path", "sight", "tasks", "tools_arm", "tools_ros"},
     "selection": {"inference"},
     "switching": {"control", "inference", "selection", "tools_loop"},
     "sight": {"direct_path", "stepped"},
@@ -55,7 +55,7 @@ NEEDS = {
         "tools_loop",
     },
     "teleoperation": {"control", "direct_path"},
-    "tools_arm": {"control", "direct_path", "stepped"},
+    "tools_arm": {"control", "direct_path", "sight", "stepped"},
     "tools_inspect": {"sight", "tools_arm"},
     "tools_loop": {"inference"},
     "tools_ros": {"direct_path"},
@@ -73,14 +73,15 @@ PUBLISHED = {
     "inference": "agreement execution instruction_text module planning",
     "ops": "maintenance",
     "selection": "choosing options requests restricted",
-    "sight": "cell_view contract_cases cube hooks inputs locator marks options plugin "
+    "sight": "cell_view contract_cases cube hooks inputs locator looker marks options plugin "
     "pointing pose_history rays segmentation view",
     "stdio": "envelope",
     "stepped": "clock watch",
     "tasks": "contract_cases guarded history hooks judging monitor moving pictures run_task runner "
     "snapshot task_robot",
     "teleoperation": "contract_cases feature hooks rows samples",
-    "tools_arm": "ee_move end_effector grip joints placing prediction tightening tools",
+    "tools_arm": "absolute ee_move end_effector grip joints motion_meter options picking "
+    "place_plans placing prediction pushing routes tightening tools",
     "tools_inspect": "looking sight_feature",
     "tools_loop": "instructing results",
     "tools_ros": "interfaces publish",

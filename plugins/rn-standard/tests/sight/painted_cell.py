@@ -196,5 +196,5 @@ class PaintedCell:
         async def run(work: Any, **_: Any) -> Any:
             return work(lambda _: None)
 
-        context = SimpleNamespace(who="agent", role="operator", run=run)
+        context = SimpleNamespace(who="agent", role="operator", simulated=False, run=run)
         return anyio.run(tool.handler, tool.parsed(arguments), context)

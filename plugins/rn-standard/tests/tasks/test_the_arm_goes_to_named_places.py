@@ -11,8 +11,11 @@ import anyio
 import numpy as np
 import pytest
 
+from rn_standard.sight.cell_view import CellView
+from rn_standard.sight.locator import LocatedObject
+from rn_standard.sight.marks import CellLook
 from rn_standard.tasks import moving
-from rn_standard.tasks.moving import Mover, Places, check_places
+from rn_standard.tasks.moving import Mover, MoveToArguments, Places, check_places
 from rn_standard.tasks.options import PlaceOptions, PostureOptions, TasksSections
 from roboneuron import matrix_from_quaternion, matrix_from_rotvec, rotvec_from_matrix
 from roboneuron.errors import InvalidInputError, NotReadyError, RefusedError, StateError
@@ -45,8 +48,13 @@ class Arm:
         }
         self.starts = SimpleNamespace(arm_stops=0, reason="a reflex")
         running = SimpleNamespace(view=lambda kind: SimpleNamespace(report=None))
+        self.looker: Any = None
+        limits = SimpleNamespace(max_speed_m_s=0.2, max_turn_rad_s=1.0)
         self.host: Any = SimpleNamespace(
-            tools=self, loop=SimpleNamespace(starts=self.starts), modules=running
+            tools=self,
+            loop=SimpleNamespace(starts=self.starts, limits=limits),
+            modules=running,
+            features=self,
         )
 
     def get(self, name: str) -> Any:
@@ -68,12 +76,61 @@ class Arm:
         self.asked.add(arm)
         return self.position, self.rotation
 
-    def move_to(self, name: str) -> Any:
+    @property
+    def loaded(self) -> dict[str, Any]:
+        return {} if self.looker is None else {"sight": self.looker}
+
+    def _mover(self) -> tuple[Mover, Any]:
         async def run(work: Any) -> Any:
             return work(lambda _: None)
 
         mover = Mover(self.host, Places(self.host, OPTIONS), self._pose)
-        return anyio.run(mover, name, SimpleNamespace(run=run))
+        return mover, SimpleNamespace(
+            run=run, ask=None, who="agent", role="operator", simulated=False
+        )
+
+    def move_to(self, name: str) -> Any:
+        mover, context = self._mover()
+        return anyio.run(mover, name, context)
+
+    def go(self, **arguments: Any) -> Any:
+        mover, context = self._mover()
+        return anyio.run(mover.go, MoveToArguments(**arguments), context)
+
+
+class FakeLooker:
+    """Sees cubes; each look moves them by `drift_m` along x."""
+
+    table_m = 0.0
+
+    def __init__(self, *names: str, drift_m: float = 0.0) -> None:
+        self._names, self._drift_m, self._looks = names, drift_m, 0
+        self.problems: dict[str, str] = {}
+        self._last: CellLook | None = None
+
+    def look(self, who: str, newer_than_ns: int = 0) -> CellLook:
+        objects = tuple(
+            LocatedObject(
+                label="cube",
+                colour=name,
+                position_m=np.array([0.4 + 0.1 * n + self._looks * self._drift_m, 0.0, 0.02]),
+                size_m=np.full(3, 0.04),
+                uncertainty_m=0.002,
+                cameras=("above",),
+                seen_at_ns=1,
+            )
+            for n, name in enumerate(self._names)
+        )
+        images: Any = () if self.problems else (object(),)
+        view = CellView(
+            images=images, frames=(), problems=self.problems, tcps={}, taken_ns=1, taken_s=0.0
+        )
+        self._looks += 1
+        self._last = CellLook(view=view, objects=objects)
+        return self._last
+
+    def last_look(self, who: str) -> CellLook | None:
+        return self._last
 
 
 @pytest.fixture
@@ -196,3 +253,100 @@ def test_the_arm_that_a_place_names_goes_there(arm: Arm, monkeypatch: pytest.Mon
         InvalidInputError, match="'above' names no arm; the arms are 'left', 'right'"
     ):
         arm.move_to("above")
+
+
+DOWN = matrix_from_quaternion(np.array([1.0, 0.0, 0.0, 0.0]))
+
+
+def test_a_position_is_reached_by_a_hand_that_points_down_with_its_present_yaw(arm: Arm) -> None:
+    turn = matrix_from_rotvec(np.array([0.0, 0.0, 0.4]))
+    arm.rotation = matrix_from_rotvec(np.array([0.2, 0.0, 0.0])) @ turn @ DOWN
+    moved = arm.go(position_m=[0.5, 0.2, 0.1])
+    assert moved.kind == "position"
+    np.testing.assert_allclose(arm.position, [0.5, 0.2, 0.1], atol=0.004)
+    np.testing.assert_allclose(arm.rotation @ [0, 0, 1], [0, 0, -1], atol=0.02)
+    x_axis = arm.rotation @ [1, 0, 0]
+    assert np.arctan2(x_axis[1], x_axis[0]) == pytest.approx(0.4, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "rotation"),
+    [
+        ({"yaw_deg": 30.0}, matrix_from_rotvec(np.array([0.0, 0.0, np.pi / 6])) @ DOWN),
+        ({"quaternion_xyzw": [0.0, 0.0, 0.0, 1.0]}, np.eye(3)),
+    ],
+)
+def test_yaw_and_quaternion_are_absolute(
+    arm: Arm, arguments: dict[str, Any], rotation: Any
+) -> None:
+    arm.go(position_m=[0.45, 0.0, 0.3], **arguments)
+    assert np.linalg.norm(rotvec_from_matrix(rotation @ arm.rotation.T)) < 0.02
+
+
+def test_a_position_is_approached_from_above(arm: Arm) -> None:
+    arm.rotation = DOWN
+    arm.go(position_m=[0.5, 0.2, 0.1], above_m=0.15)
+    *_, last = [arguments for _, arguments in arm.calls]
+    assert last["dz_m"] == pytest.approx(-0.15, abs=0.005)
+    assert abs(last["dx_m"]) < 0.005
+
+
+def test_speed_is_a_fraction_of_the_fastest(arm: Arm) -> None:
+    arm.rotation = DOWN
+    arm.go(position_m=[0.45, 0.1, 0.3], speed=0.5)
+    (_, part), *_ = arm.calls
+    assert part["duration_s"] == pytest.approx(0.1 / 0.2 / 0.5)
+    arm.calls.clear()
+    arm.go(name="home", speed=0.25)
+    _, (_, real) = arm.calls
+    assert real["duration_s"] == pytest.approx(0.5 / 0.25)
+
+
+def test_the_hand_goes_over_an_object_by_name_and_by_mark(arm: Arm) -> None:
+    arm.rotation = DOWN
+    arm.looker = FakeLooker("red", "blue")
+    assert arm.go(object="blue").name == "blue cube"
+    np.testing.assert_allclose(arm.position, [0.5, 0.0, 0.14], atol=0.004)
+    arm.go(mark=1, above_m=0.2)
+    np.testing.assert_allclose(arm.position, [0.4, 0.0, 0.24], atol=0.004)
+
+
+def test_a_marked_object_that_has_gone_is_refused(arm: Arm) -> None:
+    arm.looker = FakeLooker("red", drift_m=0.2)
+    arm.looker.look("agent")
+    with pytest.raises(NotReadyError, match="no longer seen where it was"):
+        arm.go(mark=1)
+    assert arm.calls == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "path"),
+    [
+        ({}, "name"),
+        ({"name": "home", "mark": 1}, "name"),
+        ({"name": "home", "yaw_deg": 3.0}, "yaw_deg"),
+        ({"position_m": [0.4, 0, 0.3], "yaw_deg": 1.0, "quaternion_xyzw": [0, 0, 0, 1]}, "yaw_deg"),
+        ({"position_m": [0.4, 0, 0.3], "quaternion_xyzw": [0, 0, 0, 2]}, "quaternion_xyzw"),
+        ({"position_m": [0.4, 0, 0.3], "arm": "left"}, "arm"),
+        ({"object": "green"}, "object"),
+        ({"object": "cube"}, "object"),
+    ],
+)
+def test_targets_that_are_missing_or_ambiguous_move_nothing(
+    arm: Arm, arguments: dict[str, Any], path: str
+) -> None:
+    arm.looker = FakeLooker("red", "blue")
+    with pytest.raises(InvalidInputError) as refusal:
+        arm.go(**arguments)
+    assert refusal.value.path == path
+    assert arm.calls == []
+
+
+def test_what_is_not_seen_is_refused_with_what_helps(arm: Arm) -> None:
+    with pytest.raises(NotReadyError, match="sight"):
+        arm.go(object="red")
+    arm.looker = FakeLooker("red")
+    arm.looker.problems = {"above": "Call start_perception first."}
+    with pytest.raises(NotReadyError, match="start_perception"):
+        arm.go(object="red")
+    assert arm.calls == []

@@ -36,7 +36,7 @@ def names(application: Application) -> set[str]:
 def test_the_direct_path_alone_is_enough(make: Make) -> None:
     bare, with_arm = make(), make(FEATURE)
     # this robot exposes no trajectories
-    assert names(with_arm) - names(bare) == {"move_ee", "place"}
+    assert names(with_arm) - names(bare) == {"move_ee", "pick", "place", "push"}
 
 
 def test_an_arm_that_is_not_exposed_has_no_tools(make: Make) -> None:

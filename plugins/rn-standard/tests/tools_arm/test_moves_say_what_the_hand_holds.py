@@ -18,9 +18,11 @@ import pytest
 from rn_standard.tools_arm import grip, joints, motion_timing
 from rn_standard.tools_arm.ee_move import MoveEndEffector
 from rn_standard.tools_arm.end_effector import EndEffectorMover
+from rn_standard.tools_arm.grip_height import GripHeight
 from rn_standard.tools_arm.joints import JointMover, MoveJoints
 from rn_standard.tools_arm.options import ArmToolsOptions
-from rn_standard.tools_arm.placing import GripHeight, PlaceArguments, Placer
+from rn_standard.tools_arm.place_plans import PlaceArguments
+from rn_standard.tools_arm.placing import Placer
 from roboneuron.config import LimitsConfig
 from roboneuron.contract import GripperProfile, JointSample, Pose, RobotProfile
 from roboneuron.errors import InvalidInputError, NotReadyError, RefusedError, StateError

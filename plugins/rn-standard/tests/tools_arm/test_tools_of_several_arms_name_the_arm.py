@@ -353,7 +353,7 @@ def test_schemas_offer_the_arms_and_require_one(pair: Pair) -> None:
         pair.exposed = (exposed(profile),)  # type: ignore[attr-defined]
         return {tool.name: tool for tool in arm_tools(host, ArmToolsOptions(), {}, {})}
 
-    for name in ("move_ee", "place"):
+    for name in ("move_ee", "pick", "place", "push"):
         arguments = tools(PAIR)[name].arguments
         assert arguments.properties["arm"] == {"enum": ["left", "right"]}
         assert arguments.required == ["arm"]

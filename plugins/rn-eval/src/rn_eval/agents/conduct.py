@@ -14,7 +14,7 @@ Claim = Literal["done", "not done", "refused", "none"]
 _CLAIM = re.compile(r"^\W*CLAIM:\s*(done|not done|refused)\b[\s:.-]*(.*)$", re.IGNORECASE)
 _ANSWER = re.compile(r"^\W*ANSWER:\s*(.*)$", re.IGNORECASE)
 MOTION_TOOLS = frozenset(
-    {"move_ee", "move_joints", "move_to", "place", "run_task", "set_instruction"}
+    {"move_ee", "move_joints", "move_to", "pick", "place", "push", "run_task", "set_instruction"}
 )
 """Tools that move the robot; in addition all that begin with `publish_`, and a start with an
 instruction.

@@ -21,7 +21,9 @@ from rn_standard.simulate.twin import Twin, driver_of, has_twin, scene_of
 from rn_standard.simulate.twin_process import TwinProcess
 from rn_standard.tasks.run_task import RunTask
 from rn_standard.tools_arm.ee_move import MoveEndEffector
-from rn_standard.tools_arm.placing import PlaceArguments
+from rn_standard.tools_arm.picking import PickArguments
+from rn_standard.tools_arm.place_plans import PlaceArguments
+from rn_standard.tools_arm.pushing import PushArguments
 from roboneuron import (
     Arguments,
     CallContext,
@@ -45,6 +47,8 @@ _START_S = 30.0
 _GRACE_S = 3.0
 """So much later than the simulation's own bound a twin that does not answer is killed."""
 _SIZE_PX = (320, 240)
+_IN_SCENE = RunTask | PickArguments | PlaceArguments | PushArguments
+"""Calls that need to know what stands where."""
 
 
 class SimulateArguments(Arguments):
@@ -139,7 +143,10 @@ class SimulateFeature(Feature[SimulateOptions]):
             )
             twin = self._twin(profile)
             scene = scene_of(host, twin) if self.options.objects else None
-            if isinstance(parsed, RunTask | PlaceArguments) and scene is None:
+            if (
+                isinstance(parsed, RunTask | PickArguments | PlaceArguments | PushArguments)
+                and scene is None
+            ):
                 raise RefusedError(
                     f"{tool.name} can be simulated in a simulated cell that runs: elsewhere it is "
                     "not known what stands where.",
@@ -225,7 +232,7 @@ class SimulateFeature(Feature[SimulateOptions]):
                 with host.loop.starts.admission(parsed.instruction):
                     return ""
             host.gate.check_free(arm_endpoint(host))
-            if isinstance(parsed, MoveEndEffector | PlaceArguments):
+            if isinstance(parsed, MoveEndEffector | PickArguments | PlaceArguments | PushArguments):
                 host.modules.require_running("control")
         except RoboNeuronError as error:
             return str(error)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any, NoReturn, TypeVar, cast
 
 import numpy as np
@@ -11,6 +12,7 @@ import numpy as np
 from rn_standard.direct_path.allow_list import ArmPaths
 from rn_standard.direct_path.joints import check_joints, joint_commands
 from rn_standard.direct_path.path_limits import PathLimiter
+from rn_standard.sight.looker import looker_of
 from rn_standard.simulate.arm import TwinArm
 from rn_standard.simulate.results import Outcome
 from rn_standard.simulate.task import run_in_twin
@@ -19,9 +21,14 @@ from rn_standard.tasks.moving import Mover, MoveToArguments, Places
 from rn_standard.tasks.run_task import RunTask, TaskTool
 from rn_standard.tools_arm.ee_move import MoveEndEffector
 from rn_standard.tools_arm.end_effector import EndEffectorMover
-from rn_standard.tools_arm.grip import is_blocked
+from rn_standard.tools_arm.grip import Grip, is_blocked
 from rn_standard.tools_arm.joints import JointMover, MoveJoints
-from rn_standard.tools_arm.placing import PlaceArguments, PlaceOfArm, Placer
+from rn_standard.tools_arm.picking import OfArm as PickOfArm
+from rn_standard.tools_arm.picking import PickArguments, Picker
+from rn_standard.tools_arm.place_plans import PlaceArguments
+from rn_standard.tools_arm.placing import PlaceOfArm, Placer
+from rn_standard.tools_arm.pushing import PushArguments, Pusher, PushOfArm
+from rn_standard.tools_arm.routes import DrivenCarrier, Waypoint, run_route
 from rn_standard.tools_arm.tools import MoveOfArm
 from rn_standard.tools_ros.publish import Publish, Publishing, encode_step
 from roboneuron import (
@@ -32,13 +39,17 @@ from roboneuron import (
     NotReadyError,
     RefusedError,
     RobotProfile,
+    StateError,
     Tool,
     matrix_from_quaternion,
 )
 from roboneuron.feature import ExposedEndpoint, MotionRules, Stage, inspector_of, joint_space
 
 T = TypeVar("T")
-MODELS = (MoveEndEffector, MoveJoints, MoveToArguments, PlaceArguments, Publish, RunTask)
+MODELS = (
+    *(MoveEndEffector, MoveJoints, MoveToArguments, PickArguments, PlaceArguments),
+    *(PushArguments, Publish, RunTask),
+)
 """Arguments of the tools that the twin can simulate."""
 
 
@@ -69,6 +80,32 @@ class _Inline:
 
     async def ask(self, question: str, what: str = "") -> str | None:
         return None
+
+
+class _TwinCarrier(DrivenCarrier):
+    """The twin, whose hand may close on nothing and whose arm comes to rest after each part."""
+
+    def __init__(
+        self,
+        mover: EndEffectorMover,
+        arm: TwinArm,
+        is_blocked: Callable[[float], bool],
+        opening: float,
+    ) -> None:
+        super().__init__(mover, arm)
+        self._twin_arm, self._is_blocked = arm, is_blocked
+        self._opening = opening
+
+    async def move(self, fields: dict[str, float]) -> None:
+        """See `Carrier`. The hand keeps the opening that the route gave it."""
+        self._opening = fields.get("gripper_open", self._opening)
+        await super().move({**fields, "gripper_open": self._opening})
+        self._twin_arm.settle()
+
+    def check_holds(self) -> None:
+        """See `Carrier`."""
+        if not self._is_blocked(self._opening):
+            raise StateError("The hand closes on nothing.")
 
 
 class Session:
@@ -113,6 +150,8 @@ class Session:
             self._move_joints(cast("JointMover", tool.handler), arguments)
         elif isinstance(arguments, MoveToArguments):
             self._move_to(arguments)
+        elif isinstance(arguments, PickArguments | PushArguments):
+            self._grasp_or_push(tool, arguments)
         elif isinstance(arguments, PlaceArguments):
             self._place(tool, arguments)
         elif isinstance(arguments, RunTask):
@@ -141,6 +180,46 @@ class Session:
             raise EndedError(outcome, self.arm.rule or error.rule, error.message) from error
         self.arm.settle()
 
+    def _grasp_or_push(self, tool: Tool[Any], arguments: PickArguments | PushArguments) -> None:
+        """The first route only: what would be seen after it is not known."""
+        handler, looker = tool.handler, looker_of(self._host)
+        of_arm = (
+            handler.of(arguments.arm) if isinstance(handler, PickOfArm | PushOfArm) else handler
+        )
+        assert isinstance(of_arm, Picker | Pusher)
+        start, who = of_arm.mover.pose_of(self.arm), self._context.who
+        speed = 1.0
+        try:
+            if isinstance(of_arm, Picker):
+                assert isinstance(arguments, PickArguments)
+                speed = arguments.speed
+                _, _, route = of_arm.plan(arguments, looker, who, start)
+            else:
+                assert isinstance(arguments, PushArguments)
+                _, _, route = of_arm.plan(arguments, looker, who, start)
+        except RefusedError as error:
+            _refuse(error)
+        holds = partial(self._holds, of_arm.grip)
+        carrier = _TwinCarrier(of_arm.mover, self.arm, holds, of_arm.grip.kept())
+        self._run(of_arm.mover, carrier, route, speed)
+
+    def _run(
+        self,
+        mover: EndEffectorMover,
+        carrier: DrivenCarrier,
+        route: Sequence[Waypoint],
+        speed: float,
+    ) -> None:
+        try:
+            asyncio.run(run_route(carrier, route, speed, mover.fastest))
+        except (RefusedError, StateError) as error:
+            held = bool(self.arm.held)
+            self.arm.settle()
+            outcome: Outcome = "blocked" if self._twin.moved() and not held else "stopped"
+            rule = error.rule if isinstance(error, RefusedError) else "lost"
+            raise EndedError(outcome, self.arm.rule or rule, error.message) from error
+        self.arm.settle()
+
     def _place(self, tool: Tool[Any], arguments: PlaceArguments) -> None:
         """With the twin's hand, which may lose what it holds as the robot's may."""
         handler = tool.handler
@@ -151,22 +230,33 @@ class Session:
             placer.check_holds()
         except RefusedError as error:
             _refuse(error)
+        start = placer.mover.pose_of(self.arm)
+        try:
+            plan = placer.plan(arguments, self._context.who, start)
+        except RefusedError as error:
+            _refuse(error)
+        if plan is not None:
+            holds = partial(self._holds, placer.grip)
+            kept = placer.grip.kept()
+            carrier = _TwinCarrier(placer.mover, self.arm, holds, kept)
+            self._run(placer.mover, carrier, plan.route, arguments.speed)
+            return
         route = placer.route(arguments, self.arm.poses()[names.index(arguments.arm)])
         for move in route.carry:
             self._move(placer.mover, move)
-            if not self._holds(placer):
+            if not self._holds(placer.grip, placer.grip.kept()):
                 raise EndedError("stopped", "lost", "The hand loses what it holds on the way.")
         self._move(placer.mover, route.release)
         for move in route.leave:
             opened = move.model_copy(update={"gripper_open": route.release.gripper_open})
             self._move(placer.mover, opened)
 
-    def _holds(self, placer: Placer) -> bool:
-        """Whether the fingers of the twin are kept from closing."""
-        gripper, joints = placer.grip.profile, self.arm.joints()
+    def _holds(self, grip: Grip, commanded: float) -> bool:
+        """Whether the fingers of the twin are kept from a commanded opening."""
+        gripper, joints = grip.profile, self.arm.joints()
         assert gripper is not None
         opening = gripper.to_opening(float(joints.position[joints.names.index(gripper.joint)]))
-        return is_blocked(opening, placer.grip.kept())
+        return is_blocked(opening, commanded)
 
     def _move_joints(self, mover: JointMover, arguments: MoveJoints) -> None:
         mover.check(arguments)
@@ -201,7 +291,9 @@ class Session:
         mover = Mover(
             self._host, Places(self._host, tasks.options), self._pose_now, self._call_by_name
         )
-        asyncio.run(_go(mover, arguments.name, cast("CallContext", _Inline(self._context))))
+        if arguments.name is not None:  # at the usual speed: a slower one takes the same path
+            arguments = arguments.model_copy(update={"speed": 1.0})
+        asyncio.run(_go(mover, arguments, cast("CallContext", _Inline(self._context))))
 
     def _run_task(self, handler: TaskTool, arguments: RunTask) -> None:
         """The task's own rules; what is done after its end is not looked at."""
@@ -229,8 +321,8 @@ class Session:
         return np.array(pose.position_m), matrix_from_quaternion(pose.quaternion_xyzw)
 
 
-async def _go(mover: Mover, name: str, context: CallContext) -> None:
-    await mover(name, context)
+async def _go(mover: Mover, arguments: MoveToArguments, context: CallContext) -> None:
+    await mover.go(arguments, context)
 
 
 def arm_endpoint(host: Host) -> ExposedEndpoint:

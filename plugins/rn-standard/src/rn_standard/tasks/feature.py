@@ -21,7 +21,8 @@ from rn_standard.tasks.history import MotionFacts, TaskHistory
 from rn_standard.tasks.hooks import MonitorSpec
 from rn_standard.tasks.journal import MotionJournal
 from rn_standard.tasks.lifecycle import list_models_tool, start_all_tool
-from rn_standard.tasks.moving import Mover, Places, check_places, move_to_subject, move_to_tool
+from rn_standard.tasks.move_to import MoveTo, move_to_subject, move_to_tool
+from rn_standard.tasks.moving import Mover, Places, check_places
 from rn_standard.tasks.options import TasksSections
 from rn_standard.tasks.predicates import ADAPTER
 from rn_standard.tasks.prompts import offer_prompts
@@ -96,7 +97,7 @@ class TasksFeature(Feature[TasksSections]):
             run_task_tool(task),
             self._history.tool(),
             self._journal.tool(),
-            move_to_tool(mover, places),
+            move_to_tool(MoveTo(host, mover, places, self._pose_now), places),
             *([list_models_tool(host)] if named_models(host.config) else []),
         ]
 

@@ -1,18 +1,22 @@
-"""Tool move_to: moves to named postures and places of the robot, with the tools of the arm."""
+"""Motions to postures, places, positions and objects, with the tools of the arm."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Awaitable, Callable, Mapping
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from rn_standard.sight.looker import looker_of, seen_target
+from rn_standard.sight.marks import name_of
 from rn_standard.tasks.options import PlaceOptions, PostureOptions, TasksSections
 from rn_standard.tasks.run_task import profile_of
+from rn_standard.tools_arm.absolute import go_to, wanted_rotation
 from rn_standard.tools_arm.grip import check_gripper
+from rn_standard.tools_arm.options import ArmToolsOptions, fastest
 from roboneuron import (
     Arguments,
     ArmProfile,
@@ -23,17 +27,13 @@ from roboneuron import (
     RefusedError,
     Result,
     StateError,
-    Tool,
     matrix_from_quaternion,
-    rotvec_from_matrix,
 )
 
 HOME = "home"
 """Name of the robot's own safe posture, unless configured otherwise."""
-_MOST_M, _MOST_RAD = 0.3, 1.2
-"""Largest translation and rotation of one straight part of a move to a place."""
-_PARTS = 32
-_THERE_M, _THERE_RAD = 0.004, 0.02
+_ABOVE_M = 0.10
+"""Height of the TCP over the top of an object to which it moves."""
 F64 = NDArray[np.float64]
 PoseNow = Callable[[str], tuple[F64, F64]]
 """Waits for the measured TCP pose of an arm, "" for the only one; returns position (3,) [m] and
@@ -47,18 +47,43 @@ CallArm = Callable[[str, Mapping[str, object], CallContext], Awaitable[dict[str,
 class MoveToArguments(Arguments):
     """Arguments of move_to."""
 
-    name: str = Field(description="Where to.")
+    name: str | None = Field(default=None, description="Posture or place.")
+    arm: str = Field(default="", description="Which of several arms.")
+    position_m: Annotated[list[float], Field(min_length=3, max_length=3)] | None = Field(
+        default=None, description="Of the TCP, base frame."
+    )
+    object: str = Field(default="", description="Over an object that look names.")
+    mark: int | None = Field(default=None, ge=1, description="Of your last look.")
+    yaw_deg: float | None = Field(
+        default=None, description="Of the hand, pointing down; kept if omitted."
+    )
+    quaternion_xyzw: Annotated[list[float], Field(min_length=4, max_length=4)] | None = Field(
+        default=None, description="Instead of a yaw."
+    )
+    above_m: float | None = Field(
+        default=None,
+        ge=0,
+        le=0.5,
+        description="Over the object (0.1), or over the position first.",
+    )
+    speed: float = Field(default=1.0, gt=0.02, le=1, description="Fraction of the fastest.")
 
 
 class MovedTo(Result):
     """The arm was measured at the target."""
 
     name: str
-    kind: str = Field(description="posture or place")
+    kind: str = Field(description="posture, place, position or object")
     error: float = Field(
         description="largest distance from a joint's target [rad or m], or of the TCP [m]"
     )
     took_s: float
+    position_m: list[float] = Field(default=[], description="measured TCP, base frame")
+    yaw_deg: float | None = None
+    joint_margin: dict[str, float] = Field(
+        default={}, description="joint nearest to its limit, distance [rad or m]"
+    )
+    max_tcp_speed_m_s: float | None = None
 
 
 class Places:
@@ -106,8 +131,8 @@ class Mover:
         self._pose_now = pose_now
         self._call = call or self._call_tool
 
-    async def __call__(self, name: str, context: CallContext) -> MovedTo:
-        """Move to a named target.
+    async def __call__(self, name: str, context: CallContext, speed: float = 1.0) -> MovedTo:
+        """Move to a named target, at a fraction of the usual speed.
 
         Raises:
             InvalidInputError: no such name.
@@ -116,14 +141,16 @@ class Mover:
         """
         postures, places = self._places.postures(), self._places.places()
         if name in postures:
-            answer = await self._call(
-                "move_joints", {"positions": dict(postures[name].joints)}, context
-            )
+            order: dict[str, object] = {"positions": dict(postures[name].joints)}
+            if speed < 1:
+                usual = await self._call("move_joints", order, _Judged(context))
+                order["duration_s"] = usual["duration_s"] / speed
+            answer = await self._call("move_joints", order, context)
             return MovedTo(
                 name=name, kind="posture", error=answer["error"], took_s=answer["duration_s"]
             )
         if name in places:
-            return await self._to_place(name, places[name], context)
+            return await self._to_place(name, places[name], speed, context)
         known = (
             ", ".join({**postures, **places})
             or "none; a person adds them as [postures.<name>] or [places.<name>]"
@@ -132,53 +159,122 @@ class Mover:
             f"There is no posture or place {name[:64]!r}.", hint=f"There are: {known}.", path="name"
         )
 
-    async def _to_place(self, name: str, place: PlaceOptions, context: CallContext) -> MovedTo:
-        """Move along straight parts, each computed from the pose measured at its start."""
-        took_s, stops = 0.0, self._host.loop.starts.arm_stops
-        arms = [arm.name for arm in _arms(self._host)]
-        if place.arm not in (arms or [""]):
-            told = f"names the arm {place.arm!r}" if place.arm else "names no arm"
-            known = (
-                f"the arms are {', '.join(map(repr, arms))}" if arms else "the only one has none"
-            )
+    async def go(self, arguments: MoveToArguments, context: CallContext) -> MovedTo:
+        """Move to the target of a call, and measure the motion.
+
+        Raises:
+            InvalidInputError: it names no target, or several.
+            NotReadyError, RefusedError: it cannot be seen, or as move_joints and move_ee.
+        """
+        targets = {
+            "name": arguments.name is not None,
+            "position_m": arguments.position_m is not None,
+            "object": bool(arguments.object),
+            "mark": arguments.mark is not None,
+        }
+        given = [name for name, is_given in targets.items() if is_given]
+        if len(given) != 1:
+            told = " and ".join(given) or "no target"
             raise InvalidInputError(
-                f"The place {name!r} {told}; {known}.",
-                hint=f"Set arm in [places.{name}].",
+                f"The call gives {told}; give one of {', '.join(targets)}.", path="name"
             )
+        if arguments.name is None:
+            return await self._to_pose(arguments, context)
+        moot = {"yaw_deg", "quaternion_xyzw", "above_m"} & arguments.given().keys()
+        if moot:
+            raise InvalidInputError(
+                f"A named target is a whole pose: leave {', '.join(sorted(moot))} away.",
+                path=sorted(moot)[0],
+            )
+        return await self(arguments.name, context, arguments.speed)
+
+    async def _to_pose(self, arguments: MoveToArguments, context: CallContext) -> MovedTo:
+        arm = arguments.arm
+        _check_arm(self._host, arm, "The call", "arm")
+        _, present = await context.run(lambda _: self._pose_now(arm))
+        rotation = wanted_rotation(arguments.yaw_deg, arguments.quaternion_xyzw, present)
+        if arguments.position_m is None:
+            position, name = await context.run(lambda _: self._over_object(arguments, context.who))
+            first = None
+        else:
+            position, name = np.array(arguments.position_m), str(arguments.position_m)
+            first = position + np.array([0.0, 0.0, arguments.above_m or 0.0])
+        took_s, error_m = 0.0, 0.0
+        for target in [position] if first is None or not arguments.above_m else [first, position]:
+            error_m, part_s = await self._straight(
+                arm, target, rotation, name, arguments.speed, context
+            )
+            took_s += part_s
+        kind = "object" if arguments.position_m is None else "position"
+        return MovedTo(name=name, kind=kind, error=round(error_m, 5), took_s=round(took_s, 3))
+
+    def _over_object(self, arguments: MoveToArguments, who: str) -> tuple[F64, str]:
+        """Position of the TCP over an object, and its name."""
+        _, one = seen_target(looker_of(self._host), who, arguments.object, arguments.mark)
+        above_m = _ABOVE_M if arguments.above_m is None else arguments.above_m
+        top = one.position_m + np.array([0.0, 0.0, float(one.size_m[2]) / 2 + above_m])
+        return top, name_of(one)
+
+    async def _to_place(
+        self, name: str, place: PlaceOptions, speed: float, context: CallContext
+    ) -> MovedTo:
+        _check_arm(self._host, place.arm, f"The place {name!r}", f"[places.{name}]")
         arm: dict[str, object] = {"arm": place.arm} if place.arm else {}
         gripper = {} if place.gripper_open is None else {"gripper_open": place.gripper_open}
         if gripper:
             check_gripper(self._host, profile_of(self._host), place.arm)
-        for _ in range(_PARTS):
-            position, rotation = await context.run(lambda _: self._pose_now(place.arm))
-            if self._host.loop.starts.arm_stops != stops:
-                raise StateError(
-                    f"It was stopped on its way to {name!r}: {self._host.loop.starts.reason}."
-                )
-            delta, turn = self._left(place, position, rotation)
-            far_m, far_rad = float(np.linalg.norm(delta)), float(np.linalg.norm(turn))
-            share = min(1.0, _MOST_M / max(far_m, 1e-9), _MOST_RAD / max(far_rad, 1e-9))
-            if far_m < _THERE_M and far_rad < _THERE_RAD:
-                if gripper:
-                    took_s += (await self._call("move_ee", {**arm, **gripper}, context))[
-                        "duration_s"
-                    ]
-                return MovedTo(
-                    name=name, kind="place", error=round(far_m, 5), took_s=round(took_s, 3)
-                )
-            axes = ("dx_m", "dy_m", "dz_m", "rx_rad", "ry_rad", "rz_rad")
-            part = dict(zip(axes, (share * np.concatenate([delta, turn])).tolist(), strict=True))
-            took_s += (await self._call("move_ee", {**arm, **part}, context))["duration_s"]
-        raise NotReadyError(f"The TCP does not reach {name!r}; it is {far_m * 1000:.0f} mm away.")
-
-    def _left(self, place: PlaceOptions, position: F64, rotation: F64) -> tuple[F64, F64]:
-        delta: F64 = np.array(place.position_m) - position
-        if place.quaternion_xyzw is None:
-            return delta, np.zeros(3)
-        wanted = np.array(place.quaternion_xyzw)
-        return delta, rotvec_from_matrix(
-            matrix_from_quaternion(wanted / np.linalg.norm(wanted)) @ rotation.T
+        rotation = None
+        if place.quaternion_xyzw is not None:
+            wanted = np.array(place.quaternion_xyzw)
+            rotation = matrix_from_quaternion(wanted / np.linalg.norm(wanted))
+        error_m, took_s = await self._straight(
+            place.arm, np.array(place.position_m), rotation, name, speed, context
         )
+        if gripper:
+            took_s += (await self._call("move_ee", {**arm, **gripper}, context))["duration_s"]
+        return MovedTo(name=name, kind="place", error=round(error_m, 5), took_s=round(took_s, 3))
+
+    async def _straight(
+        self,
+        arm: str,
+        position: F64,
+        rotation: F64 | None,
+        name: str,
+        speed: float,
+        context: CallContext,
+    ) -> tuple[float, float]:
+        """Move in straight parts; return the distance left [m] and the time taken [s]."""
+        starts = self._host.loop.starts
+        stops, took_s = starts.arm_stops, 0.0
+        of_arm: dict[str, object] = {"arm": arm} if arm else {}
+
+        async def pose_now() -> tuple[F64, F64]:
+            return await context.run(lambda _: self._pose_now(arm))
+
+        async def move(part: dict[str, float]) -> None:
+            nonlocal took_s
+            took_s += (await self._call("move_ee", {**of_arm, **part}, context))["duration_s"]
+
+        def check() -> None:
+            if starts.arm_stops != stops:
+                raise StateError(f"It was stopped on its way to {name!r}: {starts.reason}.")
+
+        error_m = await go_to(
+            pose_now,
+            move,
+            position,
+            rotation,
+            what=repr(name),
+            speed=speed,
+            fastest=self._fastest() if speed < 1 else (1.0, 1.0),
+            check=check,
+        )
+        return error_m, took_s
+
+    def _fastest(self) -> tuple[float, float]:
+        feature = self._host.features.loaded.get("tools-arm")
+        options = feature.options if feature is not None else ArmToolsOptions()
+        return fastest(options, self._host.loop.limits)
 
     async def _call_tool(
         self, tool_name: str, arguments: Mapping[str, object], context: CallContext
@@ -189,12 +285,23 @@ class Mover:
                 f"There is no tool {tool_name} now.", hint="It comes with rn-tools-arm and an arm."
             )
         answer = await tool.call(arguments, context)
-        if not answer.structured.get("allowed", True) or answer.structured.get("simulated"):
+        is_simulated = answer.structured.get("simulated") and not context.simulated
+        if not answer.structured.get("allowed", True) or is_simulated:
             raise RefusedError(
                 f"The arm was not moved: {answer.structured.get('reason') or 'only simulated'}.",
                 rule="simulate",
             )
         return dict(answer.structured)
+
+
+def _check_arm(host: Host, arm: str, subject: str, where: str) -> None:
+    """Raise InvalidInputError for an arm that the robot does not have."""
+    arms = [one.name for one in _arms(host)]
+    if arm in (arms or [""]):
+        return
+    told = f"names the arm {arm[:64]!r}" if arm else "names no arm"
+    known = f"the arms are {', '.join(map(repr, arms))}" if arms else "the only one has none"
+    raise InvalidInputError(f"{subject} {told}; {known}.", hint=f"Set arm: {where}.", path="arm")
 
 
 def _arms(host: Host) -> tuple[ArmProfile, ...]:
@@ -221,27 +328,11 @@ def check_places(options: TasksSections) -> None:
             raise InvalidInputError(f"The quaternion of the place {name!r} is not of unit length.")
 
 
-def move_to_subject(places: Places, arguments: MoveToArguments) -> tuple[str, str] | None:
-    """What a person is asked to approve, see `Approval`; None for an unknown name."""
-    return ("move to", arguments.name) if arguments.name in places.choices() else None
+class _Judged:
+    """A context whose calls are only judged."""
 
+    simulated = True
 
-def move_to_tool(mover: Mover, places: Places) -> Tool[MoveToArguments]:
-    """move_to."""
-
-    async def handler(arguments: MoveToArguments, context: CallContext) -> MovedTo:
-        return await mover(arguments.name, context)
-
-    return Tool(
-        name="move_to",
-        title="Move to a named posture or place",
-        description="Move the arm to a named posture, or in straight lines to a named place "
-        "(needs start_control). "
-        "Refused while a policy has an instruction. Returns when it is measured there.",
-        arguments=MoveToArguments,
-        result=MovedTo,
-        handler=handler,
-        simulated_by=frozenset({"twin"}),
-        open_world=True,
-        choices={"name": places.choices},
-    )
+    def __init__(self, context: CallContext) -> None:
+        self.who, self.role = context.who, context.role
+        self.run, self.ask = context.run, context.ask

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from typing import Annotated
 
+import numpy as np
 from pydantic import Field
 
-from roboneuron import Arguments, Result
+from rn_standard.tools_arm.ee_line import Order, difference, remaining, rounded
+from roboneuron import Arguments, Pose, Result
 
 AXES = ("dx_m", "dy_m", "dz_m", "rx_rad", "ry_rad", "rz_rad")
 """Fields of a move, in the order of its six numbers."""
@@ -58,3 +60,44 @@ class EndEffectorMove(Result):
         default=None, description="the hand holds something; null: unknown"
     )
     lost_on_the_way: bool = False
+
+
+def ee_answer(
+    robot: str,
+    arm: str,
+    order: Order,
+    sent: int,
+    duration_s: float,
+    start: Pose | None,
+    end: Pose | None,
+    *,
+    allowed: bool = True,
+    reason: str = "",
+    simulated: bool = False,
+) -> EndEffectorMove:
+    """The answer to a move from `start` to `end`, as far as these are measured."""
+    moved, error = np.zeros(6), np.zeros(6)
+    if start is not None and end is not None:
+        moved = difference(start, end)
+        error = remaining(start, order, 1.0, end)
+    here = start if end is None else end
+    asked = dict(
+        zip(AXES, [*order.translation_m.tolist(), *order.rotation_rad.tolist()], strict=True)
+    )
+    if order.gripper_open is not None:
+        asked["gripper_open"] = order.gripper_open
+    return EndEffectorMove(
+        robot=robot,
+        arm=arm,
+        asked=asked,
+        moved=dict(zip(AXES, rounded(moved), strict=True)),
+        position_m=rounded(here.position_m) if here is not None else [],
+        target_m=rounded(start.position_m + order.translation_m) if start is not None else [],
+        error_m=round(float(np.linalg.norm(error[:3])), 5),
+        error_rad=round(float(np.linalg.norm(error[3:])), 5),
+        sent=sent,
+        duration_s=round(duration_s, 3),
+        simulated=simulated,
+        allowed=allowed,
+        reason=reason,
+    )

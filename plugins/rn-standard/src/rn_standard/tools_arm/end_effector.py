@@ -18,16 +18,14 @@ from rn_standard.tools_arm.ee_line import (
     F64,
     STEP_S,
     Order,
-    difference,
-    remaining,
     rounded,
     steps_to_end,
 )
-from rn_standard.tools_arm.ee_move import AXES, EndEffectorMove, MoveEndEffector
+from rn_standard.tools_arm.ee_move import AXES, EndEffectorMove, MoveEndEffector, ee_answer
 from rn_standard.tools_arm.grip import Grip, is_lost
 from rn_standard.tools_arm.measured import MeasuredPose
 from rn_standard.tools_arm.motion_timing import MotionTiming, pacer
-from rn_standard.tools_arm.options import ArmToolsOptions
+from rn_standard.tools_arm.options import ArmToolsOptions, fastest
 from rn_standard.tools_arm.prediction import DrivenArm, PredictedArm, control_of
 from roboneuron import (
     CallContext,
@@ -128,6 +126,38 @@ class EndEffectorMover:
         """The measured TCP; blocks. Raises as `MeasuredPose.wait`."""
         return self._tcp.wait(_MEASURED_S)
 
+    @property
+    def robot(self) -> str:
+        """Name of the robot."""
+        return self._exposed.robot
+
+    @property
+    def stops(self) -> int:
+        """Number of stops of the arm so far."""
+        return self._host.loop.starts.arm_stops
+
+    @property
+    def fastest(self) -> tuple[float, float]:
+        """Fastest translation [m/s] and rotation [rad/s] in force."""
+        return self._speeds()
+
+    def predicted(self) -> PredictedArm:
+        """The arm from where it is measured, to be driven by the caller, who closes it.
+
+        Raises:
+            RefusedError: the joints are not measured.
+        """
+        joints = self._gate.joints(self._exposed, _MEASURED_S)
+        if joints is None:
+            raise RefusedError(
+                "The joints are not measured, so that the path cannot be judged.", rule="kinematics"
+            )
+        return PredictedArm(*control_of(self._host, self._exposed), joints)
+
+    def pose_of(self, arm: DrivenArm) -> Pose:
+        """TCP of this arm among those of a driven robot."""
+        return arm.poses()[self._number]
+
     def order(self, arguments: MoveEndEffector) -> Order:
         """The move that a call asks for. Raises InvalidInputError, RefusedError."""
         values = np.array([getattr(arguments, name) for name in AXES])
@@ -158,13 +188,8 @@ class EndEffectorMover:
         )
 
     def _speeds(self) -> tuple[float, float]:
-        """Fastest translation [m/s] and rotation [rad/s]: from the options, or from the limits in
-        force if these are lower.
-        """
-        options, limits = self._options, self._host.loop.limits
-        return min(options.ee_speed_m_s, limits.max_speed_m_s), min(
-            options.ee_turn_rad_s, limits.max_turn_rad_s
-        )
+        """See `fastest`."""
+        return fastest(self._options, self._host.loop.limits)
 
     def _rows(self, poses: Mapping[str, Pose]) -> ArmRows:
         """Create the rows of a motion that begins now.
@@ -203,7 +228,9 @@ class EndEffectorMover:
         )
         if not sent.verdict.may_send:
             verdict = sent.verdict
-            return self._answer(
+            return ee_answer(
+                self.robot,
+                self._arm,
                 order,
                 0,
                 0.0,
@@ -214,7 +241,9 @@ class EndEffectorMover:
                 simulated=True,
             )
         end = self._end(line)
-        answer = self._answer(order, sent.messages, sent.duration_s, line.start, end)
+        answer = ee_answer(
+            self.robot, self._arm, order, sent.messages, sent.duration_s, line.start, end
+        )
         return answer.model_copy(update=self._grip_at_the_end(line))
 
     def _end(self, line: _Line) -> Pose:
@@ -233,7 +262,9 @@ class EndEffectorMover:
         )
         verdict = self._gate.check(request)
         is_latched = verdict.rule == "emergency_stop"
-        answer = self._answer(
+        answer = ee_answer(
+            self.robot,
+            self._arm,
             order,
             0,
             forecast.took_s,
@@ -285,12 +316,7 @@ class EndEffectorMover:
         """Raise RefusedError unless control would complete the move; its path is that of
         `_actions`.
         """
-        joints = self._gate.joints(self._exposed, _MEASURED_S)
-        if joints is None:
-            raise RefusedError(
-                "The joints are not measured, so that the path cannot be judged.", rule="kinematics"
-            )
-        with closing(PredictedArm(*control_of(self._host, self._exposed), joints)) as arm:
+        with closing(self.predicted()) as arm:
             forecast.took_s = 0.0
             for _ in self.drive(order, arm):
                 forecast.took_s += STEP_S
@@ -355,41 +381,3 @@ class EndEffectorMover:
         except RoboNeuronError as error:
             return str(error)
         return ""
-
-    def _answer(
-        self,
-        order: Order,
-        sent: int,
-        duration_s: float,
-        start: Pose | None,
-        end: Pose | None,
-        *,
-        allowed: bool = True,
-        reason: str = "",
-        simulated: bool = False,
-    ) -> EndEffectorMove:
-        moved, error = np.zeros(6), np.zeros(6)
-        if start is not None and end is not None:
-            moved = difference(start, end)
-            error = remaining(start, order, 1.0, end)
-        here = start if end is None else end
-        asked = dict(
-            zip(AXES, [*order.translation_m.tolist(), *order.rotation_rad.tolist()], strict=True)
-        )
-        if order.gripper_open is not None:
-            asked["gripper_open"] = order.gripper_open
-        return EndEffectorMove(
-            robot=self._exposed.robot,
-            arm=self._arm,
-            asked=asked,
-            moved=dict(zip(AXES, rounded(moved), strict=True)),
-            position_m=rounded(here.position_m) if here is not None else [],
-            target_m=rounded(start.position_m + order.translation_m) if start is not None else [],
-            error_m=round(float(np.linalg.norm(error[:3])), 5),
-            error_rad=round(float(np.linalg.norm(error[3:])), 5),
-            sent=sent,
-            duration_s=round(duration_s, 3),
-            simulated=simulated,
-            allowed=allowed,
-            reason=reason,
-        )

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from rn_standard.tools_arm.grip_height import GripHeight
 from rn_standard.tools_arm.measured import MeasuredPose
 from rn_standard.tools_arm.options import ArmToolsOptions
-from rn_standard.tools_arm.placing import GripHeight
 from rn_standard.tools_arm.plugin import FEATURE
 from rn_standard.tools_arm.tools import arm_tools
 from roboneuron import Feature, Host, Tool

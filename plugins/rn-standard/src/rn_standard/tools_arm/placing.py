@@ -2,60 +2,44 @@
 
 from __future__ import annotations
 
-import logging
 import time
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import numpy as np
 from pydantic import Field
 from pydantic.json_schema import JsonSchemaValue
 
 from rn_standard.direct_path.derived import Derived
-from rn_standard.stepped.clock import CLOSED_METRIC
+from rn_standard.sight.looker import looker_of
+from rn_standard.sight.marks import name_of, nearest_like
 from rn_standard.tools_arm.arm_rows import of_named_arm
+from rn_standard.tools_arm.displacement import FOLLOW_M, MovedObject, displaced
 from rn_standard.tools_arm.ee_move import EndEffectorMove, MoveEndEffector
 from rn_standard.tools_arm.end_effector import EndEffectorMover
-from rn_standard.tools_arm.grip import Grip
-from rn_standard.tools_arm.measured import MeasuredPose
+from rn_standard.tools_arm.grip_height import GripHeight
+from rn_standard.tools_arm.options import HandOptions
+from rn_standard.tools_arm.place_plans import PlaceArguments, PlacePlan, plan_place
+from rn_standard.tools_arm.routes import RobotCarrier, now_ns, run_route
 from roboneuron import (
-    Arguments,
     CallContext,
     Host,
     InvalidInputError,
     Pose,
     RefusedError,
     Result,
-    RoboNeuronError,
     StateError,
     Tool,
 )
-from roboneuron.feature import ExposedEndpoint, MotionGate
 
-log = logging.getLogger(__name__)
 _CLEAR_M = 0.08
 """Height to which the held object is lifted above its place, to clear objects on the table."""
 _GAP_M = 0.002
 """Height of the release above that of the grasp: the object is dropped slightly rather than pressed
 into the table.
 """
-_CLOSES = 0.05
-"""Fraction of the travel: a smaller change of the commanded opening is not a grasp."""
 _NEAR_M = 0.003
 _LONGEST_M = 0.5
-
-
-class PlaceArguments(Arguments):
-    """Arguments of place."""
-
-    arm: str = Field(default="", description="Arm that holds it.")
-    dx_m: float = Field(default=0.0, ge=-0.5, le=0.5, description="Forwards from the hand [m].")
-    dy_m: float = Field(default=0.0, ge=-0.5, le=0.5, description="To the left [m].")
-    height_m: float | None = Field(
-        default=None,
-        ge=-1,
-        le=2,
-        description="TCP height at release; where the hand closed when omitted [m].",
-    )
 
 
 class Placed(Result):
@@ -67,50 +51,10 @@ class Placed(Result):
     moved: dict[str, float] = Field(description="from where the hand was at the call")
     holding: bool | None = Field(description="the hand still holds something; null: unknown")
     took_s: float
-
-
-class GripHeight(Grip):
-    """Records the height of the TCP when the hand last closed, whatever command closed it."""
-
-    def __init__(
-        self,
-        host: Host,
-        gate: MotionGate,
-        exposed: ExposedEndpoint,
-        tcp: MeasuredPose,
-        arm: str = "",
-    ) -> None:
-        super().__init__(host, gate, exposed, arm)
-        self._tcp = tcp
-        self._opening: float | None = None
-        self._closed_at_m: float | None = None
-        self._metric = f"{arm}/{CLOSED_METRIC}" if arm else CLOSED_METRIC
-
-    @property
-    def closed_at_m(self) -> float | None:
-        """Height of the TCP [m]; None if not observed. In stepped time as control reports it."""
-        is_own = self._exposed.namespace == self._host.config.namespace
-        report = self._host.modules.view("control").report if is_own else None
-        told = "" if report is None else report.metrics.get(self._metric, "")
-        return float(told) if told else self._closed_at_m
-
-    def watch(self) -> None:
-        """Start observing; does nothing the second time."""
-        if self._note not in self._tcp.listeners:
-            self._tcp.listeners.append(self._note)
-        try:
-            self._tcp.open()
-        except RoboNeuronError as error:  # reported by the tools that need the pose
-            log.warning("%s", error)
-
-    def _note(self, height_m: float) -> None:
-        """Process a pose: record its height if a smaller opening was commanded since the
-        last one.
-        """
-        before, now = self._opening, self.commanded()
-        self._opening = now
-        if now is not None and (1.0 if before is None else before) - now > _CLOSES:
-            self._closed_at_m = height_m
+    object: str = ""
+    placed_at_m: list[float] = Field(default=[], description="its middle as seen afterwards")
+    others_moved: list[MovedObject] = Field(default=[])
+    not_seen_after: list[str] = Field(default=[])
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -135,9 +79,22 @@ class Placer:
         mover, grip: of the arm.
     """
 
-    def __init__(self, mover: EndEffectorMover, grip: GripHeight) -> None:
+    def __init__(
+        self,
+        mover: EndEffectorMover,
+        grip: GripHeight,
+        host: Host | None = None,
+        hand: HandOptions | None = None,
+    ) -> None:
+        """Args:
+        mover, grip: of the arm.
+        host: to look at the cell; without it only relative places are possible.
+        hand: measures.
+        """
         self.mover = mover
         self.grip = grip
+        self._host = host
+        self._hand = hand or HandOptions()
 
     async def __call__(self, arguments: PlaceArguments, context: CallContext) -> Placed:
         """Lift, carry, lower, release, and retract upwards.
@@ -150,6 +107,9 @@ class Placer:
         began_s = time.monotonic()
         self.mover.check()
         await context.run(lambda _: self.check_holds())
+        plan = await context.run(lambda _: self.plan(arguments, context.who))
+        if plan is not None:
+            return await self._put_down(plan, arguments, context, began_s)
         self.release_height_m(arguments)
         start = await context.run(lambda _: self.mover.pose())
         route = self.route(arguments, start)
@@ -171,6 +131,41 @@ class Placer:
             moved={"dx_m": round(place[0] - here[0], 4), "dy_m": round(place[1] - here[1], 4)},
             holding=opened.holding,
             took_s=round(time.monotonic() - began_s, 3),
+        )
+
+    def plan(
+        self, arguments: PlaceArguments, who: str, start: Pose | None = None
+    ) -> PlacePlan | None:
+        """See `plan_place`."""
+        return plan_place(self._host, self.mover, self.grip, self._hand, arguments, who, start)
+
+    async def _put_down(
+        self, plan: PlacePlan, arguments: PlaceArguments, context: CallContext, began_s: float
+    ) -> Placed:
+        assert self._host is not None
+        carrier = RobotCarrier(self.mover, context)
+        await run_route(carrier, plan.route, arguments.speed, self.mover.fastest)
+        looker, since_ns = looker_of(self._host), now_ns()
+        after = await context.run(lambda _: looker.look(context.who, since_ns))
+        name = name_of(plan.held.object)
+        meant = replace(plan.held.object, position_m=plan.descent.object_m)
+        seen = nearest_like(after.objects, meant, FOLLOW_M)
+        moved, lost = displaced(plan.look, after, plan.held.object)
+        place, here = plan.descent.position_m, plan.start.position_m
+        return Placed(
+            robot=self.mover.robot,
+            arm=self.grip.arm,
+            released_at_m=np.round(place, 4).tolist(),
+            moved={
+                "dx_m": round(float(place[0] - here[0]), 4),
+                "dy_m": round(float(place[1] - here[1]), 4),
+            },
+            holding=await context.run(lambda _: self.grip.holding()),
+            took_s=round(time.monotonic() - began_s, 3),
+            object=name,
+            placed_at_m=[] if seen is None else np.round(seen.position_m, 4).tolist(),
+            others_moved=moved,
+            not_seen_after=[one for one in lost if one != name],
         )
 
     def check_holds(self) -> None:
@@ -248,16 +243,22 @@ class PlaceOfArm:
 
 
 def place_tool(
-    movers: Mapping[str, EndEffectorMover], grips: Mapping[str, GripHeight], robot: str
+    host: Host,
+    movers: Mapping[str, EndEffectorMover],
+    grips: Mapping[str, GripHeight],
+    hand: HandOptions,
+    robot: str,
 ) -> Tool[PlaceArguments]:
     """Create place for the arms that have a gripper.
 
     Args:
+        host: of the feature.
         movers: by arm, those without a gripper included.
         grips: by arm, for those with a gripper.
+        hand: measures.
         robot: name of the robot.
     """
-    placers = {arm: Placer(movers[arm], grip) for arm, grip in grips.items()}
+    placers = {arm: Placer(movers[arm], grip, host, hand) for arm, grip in grips.items()}
     properties: dict[str, JsonSchemaValue] = {name: {} for name in PlaceArguments.model_fields}
     several = [*placers] != [""]
     if several:
@@ -267,8 +268,8 @@ def place_tool(
     return Tool(
         name="place",
         title="Put down what the hand holds",
-        description=f"Carry what {robot!r} holds by dx_m, dy_m, lower it to where it was grasped, "
-        "let go, rise. Stop the policy first; needs control.",
+        description=f"Put down what {robot!r} holds: shifted by dx_m, dy_m, at a position, on an "
+        "object or beside one. Looks before and after.",
         arguments=Derived(
             model=PlaceArguments, properties=properties, required=["arm"] if several else []
         ),

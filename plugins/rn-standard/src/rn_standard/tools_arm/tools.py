@@ -11,10 +11,15 @@ from rn_standard.direct_path.exposed import ACTION_LABELS
 from rn_standard.tools_arm.arm_rows import of_named_arm
 from rn_standard.tools_arm.ee_move import EndEffectorMove, MoveEndEffector
 from rn_standard.tools_arm.end_effector import EndEffectorMover
+from rn_standard.tools_arm.grasps import Grasp
+from rn_standard.tools_arm.grip_height import GripHeight
 from rn_standard.tools_arm.joints import joint_tools
 from rn_standard.tools_arm.measured import MeasuredPose
 from rn_standard.tools_arm.options import ArmToolsOptions
-from rn_standard.tools_arm.placing import GripHeight, place_tool
+from rn_standard.tools_arm.picking import pick_tool
+from rn_standard.tools_arm.placing import place_tool
+from rn_standard.tools_arm.pushing import push_tool
+from rn_standard.tools_arm.put_down import HeldObject
 from roboneuron import CallContext, Host, Tool
 
 
@@ -74,7 +79,19 @@ def arm_tools(
     )
     if not hands:
         return [move, *tools]
-    return [move, *tools, place_tool(movers, hands, action.robot)]
+
+    def remember(arm: str, grasp: Grasp) -> None:
+        hands[arm].watch()
+        held = HeldObject.seen(grasp.object, grasp.position_m, grasp.yaw_rad)
+        hands[arm].held = held
+
+    return [
+        move,
+        *tools,
+        pick_tool(host, movers, hands, options.hand, action.robot, remember),
+        push_tool(host, movers, hands, options.hand, action.robot),
+        place_tool(host, movers, hands, options.hand, action.robot),
+    ]
 
 
 class MoveOfArm:

@@ -16,8 +16,6 @@ from rn_standard.tools_inspect.looking import locate_tool, look_tool
 from roboneuron import Feature, Host, RoboNeuronError, Tool
 from roboneuron.feature import Config, ExposedEndpoint, Registry, build
 
-SIGHT = "sight"
-"""Name of the feature."""
 _MOST_CLIENTS = 16
 
 
@@ -82,6 +80,11 @@ class Sight(Feature[SightOptions]):
             if len(self._looks) > _MOST_CLIENTS:
                 self._looks.popitem(last=False)
         return look
+
+    @property
+    def table_m(self) -> float:
+        """Height of the table in the base frame [m]."""
+        return self.options.table_m
 
     def last_look(self, who: str) -> CellLook | None:
         """The last look of a client."""

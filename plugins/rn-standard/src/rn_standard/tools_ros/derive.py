@@ -180,6 +180,8 @@ def _read(name: str, noun: str, targets: Targets, host: Host) -> Tool[Read]:
         result=messages_model(targets),
         handler=Reading(host, targets, name),
         read_only=True,
+        # look and get_camera_image show them
+        seldom=targets.first.endpoint.type == "sensor_msgs/msg/Image",
         idempotent=True,
         open_world=True,
     )

@@ -1,0 +1,72 @@
+"""Grip of an arm that remembers the height of the grasp, and what it holds."""
+
+from __future__ import annotations
+
+import logging
+
+from rn_standard.stepped.clock import CLOSED_METRIC
+from rn_standard.tools_arm.grip import Grip
+from rn_standard.tools_arm.measured import MeasuredPose
+from rn_standard.tools_arm.put_down import (
+    HeldObject,
+)
+from roboneuron import (
+    Host,
+    RoboNeuronError,
+)
+from roboneuron.feature import ExposedEndpoint, MotionGate
+
+log = logging.getLogger(__name__)
+_CLOSES = 0.05
+"""Fraction of the travel: a smaller change of the commanded opening is not a grasp."""
+
+
+class GripHeight(Grip):
+    """Records the height of the TCP when the hand last closed, whatever command closed it.
+
+    Attributes:
+        held: what pick has grasped, until another command opens or closes the hand.
+    """
+
+    def __init__(
+        self,
+        host: Host,
+        gate: MotionGate,
+        exposed: ExposedEndpoint,
+        tcp: MeasuredPose,
+        arm: str = "",
+    ) -> None:
+        super().__init__(host, gate, exposed, arm)
+        self._tcp = tcp
+        self._opening: float | None = None
+        self._closed_at_m: float | None = None
+        self.held: HeldObject | None = None
+        self._metric = f"{arm}/{CLOSED_METRIC}" if arm else CLOSED_METRIC
+
+    @property
+    def closed_at_m(self) -> float | None:
+        """Height of the TCP [m]; None if not observed. In stepped time as control reports it."""
+        is_own = self._exposed.namespace == self._host.config.namespace
+        report = self._host.modules.view("control").report if is_own else None
+        told = "" if report is None else report.metrics.get(self._metric, "")
+        return float(told) if told else self._closed_at_m
+
+    def watch(self) -> None:
+        """Start observing; does nothing the second time."""
+        if self._note not in self._tcp.listeners:
+            self._tcp.listeners.append(self._note)
+        try:
+            self._tcp.open()
+        except RoboNeuronError as error:  # reported by the tools that need the pose
+            log.warning("%s", error)
+
+    def _note(self, height_m: float) -> None:
+        """Process a pose: record its height if a smaller opening was commanded since the
+        last one.
+        """
+        before, now = self._opening, self.commanded()
+        self._opening = now
+        if before is not None and now is not None and abs(now - before) > _CLOSES:
+            self.held = None
+        if now is not None and (1.0 if before is None else before) - now > _CLOSES:
+            self._closed_at_m = height_m

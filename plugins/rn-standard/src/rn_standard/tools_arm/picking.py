@@ -1,0 +1,230 @@
+"""Tool pick: grasp an object from above, and say what it did to others."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+from pydantic.json_schema import JsonSchemaValue
+
+from rn_standard.direct_path.derived import Derived
+from rn_standard.sight.locator import LocatedObject
+from rn_standard.sight.looker import Looker, looker_of, seen_target
+from rn_standard.sight.marks import CellLook, name_of, seen_names
+from rn_standard.tools_arm.absolute import yaw_of
+from rn_standard.tools_arm.arm_rows import of_named_arm
+from rn_standard.tools_arm.displacement import MovedObject, displaced
+from rn_standard.tools_arm.end_effector import EndEffectorMover
+from rn_standard.tools_arm.grasps import Grasp, boxes_without, grasps_of, route_to_grasp
+from rn_standard.tools_arm.grip import Grip
+from rn_standard.tools_arm.options import HandOptions
+from rn_standard.tools_arm.routes import RobotCarrier, Waypoint, now_ns, rehearse, run_route
+from roboneuron import (
+    Arguments,
+    CallContext,
+    Host,
+    InvalidInputError,
+    Pose,
+    RefusedError,
+    Result,
+    RoboNeuronError,
+    Tool,
+    matrix_from_quaternion,
+)
+
+_NEAR_M = 0.03
+"""An object within this distance of a given position is meant by it."""
+
+
+class PickArguments(Arguments):
+    """Arguments of pick."""
+
+    arm: str = Field(default="", description="Which of several arms.")
+    object: str = Field(default="", description="Name that look gives.")
+    mark: int | None = Field(default=None, ge=1, description="Or a mark of your last look.")
+    position_m: Annotated[list[float], Field(min_length=3, max_length=3)] | None = Field(
+        default=None, description="Or where it is, base frame."
+    )
+    yaw_deg: float | None = Field(default=None, description="Of the hand; chosen if omitted.")
+    speed: float = Field(default=1.0, gt=0.02, le=1, description="Fraction of the fastest.")
+
+
+class Picked(Result):
+    """The grasp, base frame."""
+
+    robot: str
+    arm: str
+    object: str
+    grasped_at_m: list[float]
+    yaw_deg: float
+    holds: bool | None
+    clearance_m: float | None = Field(description="of the hand from the nearest other object")
+    others_moved: list[MovedObject]
+    not_seen_after: list[str]
+    took_s: float
+
+
+class Picker:
+    """The handler of pick for one arm; it moves by move_ee.
+
+    Attributes:
+        mover, grip: of the arm.
+    """
+
+    def __init__(
+        self,
+        host: Host,
+        mover: EndEffectorMover,
+        grip: Grip,
+        hand: HandOptions,
+        remember: Callable[[Grasp], None] | None = None,
+    ) -> None:
+        """Args:
+        host: of the feature.
+        mover, grip: of the arm.
+        hand: measures.
+        remember: called with the grasp of what the hand holds now.
+        """
+        self._host, self.mover, self.grip = host, mover, grip
+        self._hand, self._remember = hand, remember
+
+    async def __call__(self, arguments: PickArguments, context: CallContext) -> Picked:
+        """Look, come down, grasp, lift, and look again.
+
+        Raises:
+            InvalidInputError: no such object, or several.
+            RefusedError: it cannot be grasped, with the rule and the distance.
+            NotReadyError: nothing can be seen or measured.
+            StateError: the hand closed on nothing, or lost it.
+        """
+        began_s = time.monotonic()
+        looker = looker_of(self._host)
+        self.mover.check()
+        planned = await context.run(lambda _: self.plan(arguments, looker, context.who))
+        before, grasp, route = planned
+        carrier = RobotCarrier(self.mover, context)
+        await run_route(carrier, route, arguments.speed, self.mover.fastest)
+        if self._remember is not None:
+            self._remember(grasp)
+        since_ns = now_ns()
+        after = await context.run(lambda _: looker.look(context.who, since_ns))
+        moved, lost = displaced(before, after, grasp.object)
+        far = np.isinf(grasp.clearance_m)
+        return Picked(
+            robot=self.mover.robot,
+            arm=self.grip.arm,
+            object=name_of(grasp.object),
+            grasped_at_m=np.round(grasp.position_m, 4).tolist(),
+            yaw_deg=round(float(np.degrees(grasp.yaw_rad)), 1),
+            holds=await context.run(lambda _: self.grip.holding()),
+            clearance_m=None if far else round(grasp.clearance_m, 4),
+            others_moved=moved,
+            not_seen_after=lost,
+            took_s=round(time.monotonic() - began_s, 3),
+        )
+
+    def plan(
+        self, arguments: PickArguments, looker: Looker, who: str, start: Pose | None = None
+    ) -> tuple[CellLook, Grasp, list[Waypoint]]:
+        """Look, and plan the grasp and the route from `start`, the measured pose if None.
+        Raises as `__call__`.
+        """
+        self.grip.check_fitted()
+        if self.grip.holding():
+            raise RefusedError(
+                "The hand holds something already.", hint="Call place first.", rule="full_hand"
+            )
+        look, one = target_of(arguments, looker, who)
+        others = boxes_without(look, one)
+        here = self.mover.pose() if start is None else start
+        yaw = None if arguments.yaw_deg is None else float(np.radians(arguments.yaw_deg))
+        present = yaw_of(matrix_from_quaternion(here.quaternion_xyzw))
+        refusal: RoboNeuronError | None = None
+        for grasp in grasps_of(one, others, self._hand, present, yaw):
+            route = route_to_grasp(grasp, here, others)
+            try:
+                rehearse(self.mover, route, arguments.speed)
+            except RoboNeuronError as error:
+                refusal = refusal or error
+                continue
+            return look, grasp, route
+        assert refusal is not None
+        raise RefusedError(
+            f"The {name_of(one)} at {np.round(one.position_m, 3).tolist()} m is out of reach: "
+            f"{refusal.message}",
+            rule="out_of_reach",
+        ) from refusal
+
+
+def target_of(arguments: PickArguments, looker: Looker, who: str) -> tuple[CellLook, LocatedObject]:
+    """A new look, and the object in it that a call means. Raises as `seen_target`."""
+    if arguments.position_m is None:
+        return seen_target(looker, who, arguments.object, arguments.mark)
+    if arguments.object or arguments.mark is not None:
+        raise InvalidInputError("Give one of object, mark and position_m.", path="position_m")
+    look = looker.look(who)
+    place = np.array(arguments.position_m)
+    near = [one for one in look.objects if np.linalg.norm(one.position_m - place) < _NEAR_M]
+    if len(near) == 1:
+        return look, near[0]
+    told = f"{len(near)} objects are" if near else "No object is"
+    raise InvalidInputError(
+        f"{told} seen within {_NEAR_M * 100:.0f} cm of {arguments.position_m}.",
+        hint=f"Seen: {seen_names(look.objects)}.",
+        path="position_m",
+    )
+
+
+class OfArm:
+    """The handler of a tool for several arms."""
+
+    def __init__(self, handlers: Mapping[str, Picker]) -> None:
+        self._handlers = handlers
+
+    def of(self, arm: str) -> Picker:
+        """The one of that arm. Raises InvalidInputError."""
+        return of_named_arm(self._handlers, arm)
+
+    async def __call__(self, arguments: PickArguments, context: CallContext) -> Picked:
+        """Raises as the handler of the arm; InvalidInputError also for an unknown arm."""
+        return await self.of(arguments.arm)(arguments, context)
+
+
+def pick_tool(
+    host: Host,
+    movers: Mapping[str, EndEffectorMover],
+    grips: Mapping[str, Grip],
+    hand: HandOptions,
+    robot: str,
+    remember: Callable[[str, Grasp], None],
+) -> Tool[PickArguments]:
+    """Create pick for the arms that have a gripper; `remember` is called with the arm and what its
+    hand holds now.
+    """
+    pickers = {
+        arm: Picker(host, movers[arm], grip, hand, partial(remember, arm))
+        for arm, grip in grips.items()
+    }
+    properties: dict[str, JsonSchemaValue] = {name: {} for name in PickArguments.model_fields}
+    several = [*pickers] != [""]
+    if several:
+        properties["arm"] = {"enum": [*pickers]}
+    else:
+        del properties["arm"]
+    return Tool(
+        name="pick",
+        title="Grasp an object from above",
+        description=f"Grasp an object from above with {robot!r} and lift it; looks before and "
+        "after.",
+        arguments=Derived(
+            model=PickArguments, properties=properties, required=["arm"] if several else []
+        ),
+        result=Picked,
+        handler=OfArm(pickers) if several else pickers[""],
+        simulated_by=frozenset({"twin"}),
+        open_world=True,
+    )
