@@ -67,6 +67,7 @@ def camera_tool(host: Host) -> Tool[GetCameraImage]:
         result=CameraImage,
         handler=get_camera_image,
         read_only=True,
+        seldom=True,
         idempotent=True,
         open_world=True,
         choices={"camera": host.loop.camera_roles},

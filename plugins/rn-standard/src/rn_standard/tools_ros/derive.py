@@ -61,6 +61,10 @@ def derive_tools(
     return tools
 
 
+_SHOWN_BY_LOOK = ("sensor_msgs/msg/Image", "geometry_msgs/msg/PoseStamped")
+"""Types of what look tells in better form: pictures, and the pose of the hand."""
+
+
 def _make(use: str, name: str, noun: str, targets: Targets, host: Host) -> Tool:
     makers: dict[str, Callable[[str, str, Targets, Host], Tool]] = {
         "publish": _publish,
@@ -180,8 +184,7 @@ def _read(name: str, noun: str, targets: Targets, host: Host) -> Tool[Read]:
         result=messages_model(targets),
         handler=Reading(host, targets, name),
         read_only=True,
-        # look and get_camera_image show them
-        seldom=targets.first.endpoint.type == "sensor_msgs/msg/Image",
+        seldom=targets.first.endpoint.type in _SHOWN_BY_LOOK,
         idempotent=True,
         open_world=True,
     )
