@@ -118,7 +118,7 @@ class Recordings(Result):
     problem: str = Field(description="why nothing is written now; empty when all is well")
     lost: int = Field(
         description="messages that could not be written or came too fast, since the recorder "
-        "started"
+        "started; also while nothing was recorded: a recording has its own count"
     )
     restarts: int
     runs: list[RunEntry]

@@ -45,7 +45,7 @@ def test_without_a_task_before_it_cannot_be_judged_and_says_why(place: Any) -> N
     monitor.reset(seen(0.5))
     score = monitor.score(seen(0.5))
     assert score.value is None
-    assert "the gripper holds it already" in score.reason
+    assert "the hand is around it already" in score.reason
 
 
 def test_what_lies_higher_than_in_the_task_before_is_not_lifted(place: Any) -> None:

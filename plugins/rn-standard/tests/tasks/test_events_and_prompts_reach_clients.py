@@ -25,6 +25,7 @@ from rn_standard.tasks.events import Crossing, check_thresholds
 from rn_standard.tasks.hooks import MonitorSpec
 from rn_standard.tasks.options import EventOptions
 from rn_standard.tasks.plugin import FEATURE, MONITORS
+from rn_standard.tasks.predicates import parse_predicate
 from rn_standard.tasks.prompts import PROMPTS, filled
 from rn_testing.fakes import fake_registry
 from roboneuron.config import parse_config
@@ -171,9 +172,13 @@ def test_all_kinds_of_events_and_the_predicates_are_resources(application: Appli
         f"roboneuron://events/{kind}"
         for kind in ("incidents", "tasks", "monitors", "battery", "thresholds")
     } <= uris
-    predicates = json.loads(application.resources["roboneuron://tasks/predicates"].read())
+    text = application.resources["roboneuron://tasks/predicates"].read()
+    assert len(text.encode()) < 2000
+    predicates = json.loads(text)
     assert "colour-lifted" in predicates["monitors"]
-    assert "discriminator" in json.dumps(predicates["schema"])
+    assert len(predicates["examples"]) == 3
+    for example in predicates["examples"].values():
+        parse_predicate(example)
 
 
 def test_crossings_are_told_once_until_the_value_comes_back() -> None:

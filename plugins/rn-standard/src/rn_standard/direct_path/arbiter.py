@@ -25,6 +25,8 @@ motion is checked every 10 ms.
 """
 FREE = "Wait for its end, or call stop_motion: it ends whatever moves."
 """Hint of a request that is refused because something else moves the robot."""
+GO_ON = "Nothing resumes by itself: call it again with what is left of it."
+"""Hint of a motion that was ended from outside."""
 POLL_S = 0.01
 """Period at which a lasting motion checks the latch; with one publish it is well within 50 ms."""
 
@@ -128,9 +130,9 @@ class ActiveMotion:
             )
         if self._halt.is_set():
             self._gate.check_running()  # the stop was triggered since the check above
-            raise StateError(self._end_reason or "The call was cancelled.")
+            raise StateError(self._end_reason or "The call was cancelled.", hint=GO_ON)
         if reason := self._stopped() or self._policy():
-            raise StateError(reason)
+            raise StateError(reason, hint=GO_ON)
         self.watch()
 
     def sleep_until(self, end_s: float) -> None:

@@ -339,6 +339,16 @@ def region_case() -> MonitorCase:
     )
 
 
+def on_case() -> MonitorCase:
+    """A red ball on the blue one, and beside it."""
+    return _case(
+        "object-on",
+        before=observe(_LIES),
+        achieved=observe({"red": (0.4, 0.1, 0.065), "blue": (0.4, 0.1, 0.02)}),
+        missed=observe(_LIES),
+    )
+
+
 def changed_case() -> MonitorCase:
     """A removed ball, and an unchanged scene."""
     return _case(
@@ -359,6 +369,7 @@ def http_case() -> MonitorCase:
 CASES: tuple[Callable[[], MonitorCase], ...] = (
     lifted_case,
     region_case,
+    on_case,
     changed_case,
     http_case,
 )

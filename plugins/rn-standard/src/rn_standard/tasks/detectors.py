@@ -23,6 +23,10 @@ _BESIDE_M = 0.03
 _COARSE_M = 0.06
 """The same if one view is partial, as that of a wrist camera on a held object."""
 _FADE_M = 0.05
+_STACKED_M, _OVER_M = (0.02, 0.12), 0.03
+"""Range of the height between the centres of objects that lie on each other, and how far the upper
+one may be beside.
+"""
 _HELD_M, _HOLDS = 0.06, (0.05, 0.9)
 """Distance from the TCP, and range of openings, within which an object counts as held."""
 
@@ -102,7 +106,7 @@ class ColourLifted:
         if isinstance(place, str):
             return Score(value=None, reason=place)
         if self._rest_m is None:
-            held = "the gripper holds it already, and " if _is_held(place, observation) else ""
+            held = "the hand is around it already, and " if _is_held(place, observation) else ""
             return Score(
                 value=None,
                 reason=f"{held}it was not seen where the {options.colour} object lay before",
@@ -188,6 +192,45 @@ class ObjectInRegion:
                 "that height"
             )
         return points[0]
+
+
+class OnOptions(_Options):
+    """Options of the monitor `object-on`."""
+
+    colour: Colour = Field(default="red", description="of the upper object; no other may have it")
+    on: Colour = Field(default="blue", description="of the lower object; no other may have it")
+
+
+class ObjectOn:
+    """Scores that an object of a colour lies on one of another colour: from two views, it is above
+    and let go; beside or too high, the score falls to 0 within 5 cm.
+    """
+
+    def __init__(self, config: OnOptions | None) -> None:
+        self._options = config or OnOptions()
+
+    def reset(self, observation: Observation) -> None:
+        """Nothing to store."""
+
+    def score(self, observation: Observation) -> Score:
+        """1 on it."""
+        colour, on = self._options.colour, self._options.on
+        upper, lower = locate(observation, colour), locate(observation, on)
+        if isinstance(upper, str):
+            return Score(value=None, reason=upper)
+        if isinstance(lower, str):
+            return Score(value=None, reason=lower)
+        if _is_held(upper, observation):
+            return Score(value=0.0, reason=f"the gripper holds the {colour} object")
+        beside_m = float(np.linalg.norm(upper[:2] - lower[:2]))
+        above_m = float(upper[2] - lower[2])
+        lowest_m, highest_m = _STACKED_M
+        away_m = max(0.0, beside_m - _OVER_M) + max(0.0, lowest_m - above_m, above_m - highest_m)
+        return Score(
+            value=max(0.0, 1.0 - away_m / _FADE_M),
+            reason=f"the {colour} object is {above_m * 100:.0f} cm above the {on} one and "
+            f"{beside_m * 100:.0f} cm beside it",
+        )
 
 
 class ChangedOptions(_Options):

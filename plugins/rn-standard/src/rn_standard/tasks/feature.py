@@ -24,10 +24,11 @@ from rn_standard.tasks.lifecycle import list_models_tool, start_all_tool
 from rn_standard.tasks.move_to import MoveTo, move_to_subject, move_to_tool
 from rn_standard.tasks.moving import Mover, Places, check_places
 from rn_standard.tasks.options import TasksSections
-from rn_standard.tasks.predicates import ADAPTER
+from rn_standard.tasks.predicates import UNTIL
 from rn_standard.tasks.prompts import offer_prompts
 from rn_standard.tasks.run_task import TaskTool, run_task_tool
 from rn_standard.tasks.runner import TaskEnd
+from rn_standard.tasks.short_words import WORDS
 from rn_standard.tasks.task_calls import TaskCalls
 from rn_standard.teleoperation.feature import TELEOPERATION, Teleoperation
 from roboneuron import (
@@ -46,6 +47,8 @@ from roboneuron.feature import CallPhase, Config, Interceptor
 F64 = NDArray[np.float64]
 PREDICATES_URI = "roboneuron://tasks/predicates"
 _CLOSE_S = 3.0
+_EXAMPLES = 3
+"""Examples of predicates in their resource, which agents read whole."""
 _POSE_S = 2.0
 
 
@@ -116,8 +119,7 @@ class TasksFeature(Feature[TasksSections]):
                 uri=PREDICATES_URI,
                 name="predicates",
                 title="Predicates for run_task",
-                description="Examples, installed monitors with their options, and the JSON schema "
-                "of `until`.",
+                description="Short words, kinds, three examples and monitors for `until`.",
                 read=self._predicates,
                 mime_type="application/json",
             ),
@@ -191,9 +193,9 @@ class TasksFeature(Feature[TasksSections]):
         monitors = {
             name: spec.summary for name, spec in self._host.registry.specs(MonitorSpec).items()
         }
-        return json.dumps(
-            {"examples": EXAMPLES, "monitors": monitors, "schema": ADAPTER.json_schema()}, indent=1
-        )
+        shown = dict(list(EXAMPLES.items())[:_EXAMPLES])
+        told = {"words": WORDS, "kinds": UNTIL, "examples": shown, "monitors": monitors}
+        return json.dumps(told)
 
     def _pose_now(self, arm: str) -> tuple[F64, F64]:
         self._host.modules.require_running("control")

@@ -53,6 +53,14 @@ MONITORS = (
         optional=("wrist",),
     ),
     _monitor(
+        "object-on",
+        "An object of a colour lies on one of another colour; needs two calibrated cameras.",
+        "ObjectOn",
+        "OnOptions",
+        "on_case",
+        optional=("wrist",),
+    ),
+    _monitor(
         "scene-changed",
         "The picture is not as it was before, with the arm back where it was.",
         "SceneChanged",

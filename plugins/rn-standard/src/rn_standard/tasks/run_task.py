@@ -28,6 +28,7 @@ from rn_standard.tasks.predicates import (
     parse_predicate,
 )
 from rn_standard.tasks.runner import Outcome, Task, TaskEnd, TaskPlan
+from rn_standard.tasks.short_words import WORDS, default_predicate, expanded
 from rn_standard.tasks.stepped import SteppedCell
 from rn_standard.tasks.task_judge import judge_of, topics_of
 from rn_standard.tasks.task_result import TaskResult, task_result
@@ -61,9 +62,10 @@ class RunTask(Arguments):
     instruction: InstructionText = Field(
         description='What to do: "pick up the red cube".',
     )
-    until: dict[str, object] | None = Field(
+    until: dict[str, object] | str | None = Field(
         default=None,
-        description=f"Success condition, a predicate P: {UNTIL}. Without it success is not judged.",
+        description=f"Success condition: {WORDS}, or a predicate P: {UNTIL}. Without it, pick up "
+        "and put on are judged by themselves, other verbs are not.",
     )
     max_s: float | None = Field(
         default=None, gt=0, le=86400, description="Longest time of one attempt [s]."
@@ -167,7 +169,8 @@ class TaskTool:
         self, arguments: RunTask, monitor_for: MonitorFor
     ) -> tuple[Predicate | None, RobotProfile | None, PredicateJudge | None]:
         """The predicate, the robot and the judge of a task that could be carried out now."""
-        predicate = None if arguments.until is None else parse_predicate(arguments.until)
+        profile = profile_of(self._host)
+        predicate = self._predicate(arguments, profile)
         known = [HOLD, STOP, *self._names()]
         if arguments.on_end not in known:
             raise InvalidInputError(
@@ -175,7 +178,6 @@ class TaskTool:
                 hint=f"Choose one of: {', '.join(known)}.",
                 path="on_end",
             )
-        profile = profile_of(self._host)
         if predicate is not None:
             topics_of(predicate)
         judge = (
@@ -216,13 +218,24 @@ class TaskTool:
         RefusedError.
         """
         plan = self._plan(arguments)
-        if arguments.until is None:
+        predicate = self._predicate(arguments, profile)
+        if predicate is None:
             return None, plan
-        predicate = parse_predicate(arguments.until)
         topics_of(predicate)
         judge = judge_of(predicate, arguments.instruction, profile, self._new_monitor)
         self._check_grippers(predicate, profile)
         return judge, plan
+
+    def _predicate(self, arguments: RunTask, profile: RobotProfile | None) -> Predicate | None:
+        """What a call is judged by; without a gripper, no verb is judged by itself."""
+        predicate = predicate_of(arguments)
+        if arguments.until is not None:
+            return predicate
+        try:
+            self._check_grippers(predicate, profile)
+        except RefusedError:
+            return None
+        return predicate
 
     def _check_grippers(self, predicate: Predicate | None, profile: RobotProfile | None) -> None:
         """Raise RefusedError if a predicate asks for a gripper that is not there: it would never
@@ -318,6 +331,18 @@ def _check_may_set(spec: MonitorSpec, options: Mapping[str, object]) -> None:
 def _of_roles(roles: Mapping[str, str], wanted: Iterable[str], known: list[str]) -> list[str]:
     """Names of cameras with these roles that are not yet known."""
     return [name for name, role in roles.items() if role in wanted and name not in known]
+
+
+def predicate_of(arguments: RunTask) -> Predicate | None:
+    """What a call is judged by: as asked for, or by its instruction's verb. Raises
+    InvalidInputError.
+    """
+    asked = arguments.until
+    if asked is None:
+        asked = default_predicate(arguments.instruction)
+    if isinstance(asked, str):
+        asked = expanded(asked, arguments.instruction)
+    return None if asked is None else parse_predicate(asked)
 
 
 def profile_of(host: Host) -> RobotProfile | None:

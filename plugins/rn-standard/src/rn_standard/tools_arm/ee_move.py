@@ -24,9 +24,13 @@ class MoveEndEffector(Arguments):
     dx_m: _Delta = Field(default=0.0, description="Along x of the base (forwards) [m].")
     dy_m: _Delta = Field(default=0.0, description="Along y of the base (to the left) [m].")
     dz_m: _Delta = Field(default=0.0, description="Along z of the base (up) [m].")
-    rx_rad: _Turn = Field(default=0.0, description="Rotation vector [rad].")
+    rx_rad: _Turn = Field(
+        default=0.0, description="Rotation vector about the TCP, in axes of the base [rad]."
+    )
     ry_rad: _Turn = Field(default=0.0, description="Likewise [rad].")
-    rz_rad: _Turn = Field(default=0.0, description="Likewise [rad].")
+    rz_rad: _Turn = Field(
+        default=0.0, description="Likewise: the yaw, counter-clockwise from above [rad]."
+    )
     gripper_open: float | None = Field(
         default=None,
         ge=0,

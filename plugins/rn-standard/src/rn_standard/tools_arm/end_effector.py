@@ -372,8 +372,10 @@ class EndEffectorMover:
             place = f"the TCP is at {rounded(self._tcp.wait(1.0).position_m)} m"
         except RoboNeuronError as error:
             return error.message
-        lost = line.held and self._grip_at_the_end(line)["lost_on_the_way"]
-        return f"{place}; the hand has lost what it held" if lost else place
+        if not line.held:
+            return place
+        lost = self._grip_at_the_end(line)["lost_on_the_way"]
+        return f"{place}; the hand {'has lost what it held' if lost else 'still holds something'}"
 
     def _why_not(self) -> str:
         try:

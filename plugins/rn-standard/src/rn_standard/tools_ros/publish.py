@@ -102,9 +102,9 @@ class Publishing:
             durations_s=[step.duration_s] if exposed.endpoint.joint_limited else [],
         )
         if not step.duration_s:
-            sent = self._gate.publish_now(exposed, request, stamped=step.stamped)
-            if sent is not None:
-                return to_delivery(exposed, sent)
+            now = self._gate.publish_now(exposed, request, stamped=step.stamped)
+            if now is not None:
+                return to_delivery(exposed, now)
         halt = threading.Event()
         work = partial(
             publish_steps,
@@ -115,7 +115,8 @@ class Publishing:
             timeout_s=arguments.timeout_s,
             halt=halt,
         )
-        return to_delivery(exposed, await context.run(work, on_cancel=halt.set, on_leave=halt.set))
+        sent = await context.run(work, on_cancel=halt.set, on_leave=halt.set)
+        return to_delivery(exposed, sent, step.duration_s)
 
 
 def encode_step(
@@ -132,15 +133,16 @@ def encode_step(
     )
 
 
-def to_delivery(exposed: ExposedEndpoint, sent: Sent) -> Delivery:
-    """Convert the result of the gate."""
+def to_delivery(exposed: ExposedEndpoint, sent: Sent, planned_s: float = 0.0) -> Delivery:
+    """Convert the result of the gate; a simulated call is told with its planned duration [s]."""
+    duration_s = planned_s if sent.verdict.simulated else sent.duration_s
     return Delivery(
         robot=exposed.robot,
         topic=exposed.topic,
         type=exposed.endpoint.type,
         sent=sent.messages,
         subscribers=sent.subscribers,
-        duration_s=round(sent.duration_s, 6),
+        duration_s=round(duration_s, 6),
         stopped=sent.stopped,
         clamped=[
             ClampedValue(path=c.path, asked=c.asked, sent=c.sent) for c in sent.verdict.clamped

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from rn_standard.direct_path.fields import load_type
 from rn_standard.direct_path.type_hashes import check_type_hash
 from roboneuron import ConfigurationError, Host, NotReadyError, StateError
-from roboneuron.feature import ExposedEndpoint
+from roboneuron.feature import ExposedEndpoint, topics
 
 _POLL_S = 0.02
 
@@ -102,8 +102,21 @@ def check_heard(heard: Heard, exposed: ExposedEndpoint, timeout_s: float) -> Non
     )
     raise NotReadyError(
         f"{who} {exposed.topic} ({exposed.endpoint.type}) within {timeout_s:g} s.",
-        hint="Start what publishes it, or look at list_topics.",
+        hint=start_hint(exposed.topic),
     )
+
+
+_PUBLISHERS = {"ee_pose": "control", topics.JOINT_STATES: "robot"}
+"""Modules that publish, by the last part of the topic."""
+
+
+def start_hint(topic: str) -> str:
+    """What to start for messages of a topic under a robot's namespace."""
+    kind = _PUBLISHERS.get(topic.rsplit("/", 1)[-1])
+    kind = "perception" if "/camera/" in topic else kind
+    if kind is None:
+        return "Start what publishes it; list_topics, which find_tools has, tells who does."
+    return f"Call start_{kind}: {kind} publishes it."
 
 
 def read_newest(
