@@ -49,9 +49,7 @@ def test_the_tools_and_the_logs_of_modules_and_server_are_offered(application: A
 
     async def look() -> None:
         async with Client(application.server) as client:
-            assert {"get_logs", "list_incidents"} <= {
-                tool.name for tool in (await client.list_tools()).tools
-            }
+            assert {"get_logs", "list_incidents"} <= application.tools.names()
             uris = [str(resource.uri) for resource in (await client.list_resources()).resources]
             assert uris == [
                 "roboneuron://status",

@@ -81,8 +81,9 @@ def search_tools(hidden: Callable[[str], Sequence[Tool[Any]]]) -> list[Tool[Any]
             name=FIND_TOOLS,
             title="Find further tools",
             description="Find tools that are not in this list, by words: what is installed and can "
-            "be chosen (list_*), topics, nodes and interfaces, replacing a running policy, camera "
-            "or controller (switch_*), sequences of messages. Call what you find with call_tool.",
+            "be chosen (list_*), logs, topics, nodes and interfaces, replacing a running policy, "
+            "camera or controller (switch_*), sequences of messages. Call what you find with "
+            "call_tool.",
             arguments=FindTools,
             result=FoundTools,
             handler=find,

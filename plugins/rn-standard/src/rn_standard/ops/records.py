@@ -301,6 +301,7 @@ def record_tools(modules: Modules, incidents: Incidents) -> list[Tool]:
             handler=get_logs,
             read_only=True,
             idempotent=True,
+            seldom=True,
         ),
         Tool(
             name="list_incidents",
