@@ -48,6 +48,7 @@ ON_M, PLACED_M = 0.015, 0.02
 """Largest errors of a success: of a stacked cube's middle, and of one on the table."""
 GAP_M = 0.03
 SETTLED_M, SETTLE_S = 5e-4, 5.0
+_DRAWS, _SCENE_S = 1000, 600.0
 Truth = dict[str, np.ndarray]
 
 
@@ -89,13 +90,15 @@ class Judge:
     async def truth(self) -> Truth:
         """Position of each cube at rest."""
         deadline_s = time.monotonic() + SETTLE_S
-        found = await self._read()
-        while True:
+        before, found = None, await self._read()
+        while time.monotonic() < deadline_s:
+            if before is not None and all(
+                np.linalg.norm(found[name] - before[name]) < SETTLED_M for name in found
+            ):
+                break
             await anyio.sleep(0.3)
             before, found = found, await self._read()
-            still = all(np.linalg.norm(found[name] - before[name]) < SETTLED_M for name in found)
-            if still or time.monotonic() > deadline_s:
-                return found
+        return found
 
     async def _read(self) -> Truth:
         modules = (await self._agent.do("get_status"))["modules"]
@@ -103,7 +106,7 @@ class Judge:
         cubes = json.loads(robot["detail"]["cubes"])
         return {name: np.array(cube["position_m"]) for name, cube in cubes.items()}
 
-    async def call(
+    async def judged(
         self, tool: str, kind: str, colour: str, before: Truth, **arguments: object
     ) -> tuple[dict[str, Any], Truth] | None:
         """The answer and the truth after a call; None if it did not succeed."""
@@ -143,7 +146,7 @@ class Judge:
     async def pick(self, kind: str, colour: str) -> bool:
         """Pick a cube up; whether it is lifted."""
         before = await self.truth()
-        outcome = await self.call("pick", kind, colour, before, object=colour)
+        outcome = await self.judged("pick", kind, colour, before, object=colour)
         if outcome is None:
             return False
         answer, after = outcome
@@ -173,7 +176,7 @@ async def play(
     if await judge.pick("pick", one):
         side = random.choice(["+x", "-x", "+y", "-y"])
         before = await judge.truth()
-        outcome = await judge.call(
+        outcome = await judge.judged(
             "place", "place beside", one, before, beside=other, side=side, gap_m=GAP_M
         )
         if outcome is None:
@@ -185,7 +188,7 @@ async def play(
             judge.note("place beside", abs(gap_m - GAP_M), PLACED_M, f"{one} beside {other}")
     if await judge.pick("pick beside a neighbour", one):
         before = await judge.truth()
-        outcome = await judge.call("place", "place on", one, before, on=third)
+        outcome = await judge.judged("place", "place on", one, before, on=third)
         if outcome is None:
             await agent.call("move_ee", gripper_open=1.0)
         else:
@@ -196,7 +199,7 @@ async def play(
     if await judge.pick("pick from a stack", one):
         before = await judge.truth()
         target = free_place(before, one, random)
-        outcome = await judge.call(
+        outcome = await judge.judged(
             "place", "place at", one, before, position_m=[float(value) for value in target]
         )
         if outcome is not None:
@@ -205,7 +208,7 @@ async def play(
     await agent.do("move_to", name="home")
     before = await judge.truth()
     dx_m, dy_m = [(0.05, 0.0), (-0.05, 0.0), (0.0, 0.05), (0.0, -0.05)][random.integers(4)]
-    outcome = await judge.call("push", "push", other, before, object=other, dx_m=dx_m, dy_m=dy_m)
+    outcome = await judge.judged("push", "push", other, before, object=other, dx_m=dx_m, dy_m=dy_m)
     if outcome is not None:
         off_m = float(np.linalg.norm((outcome[1][other] - before[other])[:2] - [dx_m, dy_m]))
         judge.note("push", off_m, 0.01, f"push of {other}")
@@ -214,10 +217,11 @@ async def play(
 def free_place(truth: Truth, colour: str, random: np.random.Generator) -> np.ndarray:
     """A place (2,) that is 10 cm away from all other cubes."""
     others = [place[:2] for name, place in truth.items() if name != colour]
-    while True:
+    for _ in range(_DRAWS):
         place = random.uniform([0.40, -0.22], [0.60, 0.22])
         if all(np.linalg.norm(place - other) > 0.10 for other in others):
             return np.round(place, 3)
+    raise RuntimeError("There is no free place.")
 
 
 def main() -> None:
@@ -271,7 +275,8 @@ def scene(seed: int, engine: str, tallies: dict[str, Tally]) -> bool:
         async def scenario() -> None:
             async with client_of(config, environment, "--log-level", "error") as client:
                 agent = Agent(client)
-                await play(agent, Judge(agent, tallies), edges, random)
+                with anyio.fail_after(_SCENE_S):
+                    await play(agent, Judge(agent, tallies), edges, random)
 
         anyio.run(scenario)
     return True
