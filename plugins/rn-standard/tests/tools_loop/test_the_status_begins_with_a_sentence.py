@@ -21,7 +21,7 @@ def host(
         return SimpleNamespace(kind=kind, phase=phase, health=lambda now_s: word)
 
     loop = SimpleNamespace(
-        robot_facts="simulated robot FR3 (driver x)",
+        robot_facts=SimpleNamespace(kind="simulated", name="FR3"),
         modules=SimpleNamespace(views=lambda: [view(*one) for one in health.items()]),
         emergency_stop=SimpleNamespace(cause=lambda: cause, is_latched=lambda: latched),
     )
@@ -31,7 +31,8 @@ def host(
 @pytest.mark.parametrize(
     ("made", "told"),
     [
-        (lambda: host({"robot": "stopped"}), ("nothing is started", "nothing moves")),
+        (lambda: host({"robot": "stopped"}), ("nothing is started",)),
+        (lambda: host({"robot": "ok"}), ("robot works", "nothing moves")),
         (lambda: host({"robot": "ok", "control": "ok"}), ("robot, control work",)),
         (lambda: host({"robot": "ok", "control": "stuck"}), ("control is stuck",)),
         (lambda: host({"robot": "ok"}, ("move_ee of 'fr3'",)), ("moved by move_ee of 'fr3'",)),
@@ -40,7 +41,7 @@ def host(
 )
 def test_the_sentence_tells_what_matters(made: Callable[[], Host], told: tuple[str, ...]) -> None:
     sentence = summary(made())
-    assert sentence.startswith("Simulated robot FR3 (driver x): ")
+    assert sentence.startswith("Simulated robot FR3: ")
     assert all(one in sentence for one in told), sentence
 
 

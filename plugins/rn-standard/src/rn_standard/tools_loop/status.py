@@ -55,21 +55,20 @@ def status(host: Host) -> StatusResult:
 
 def summary(host: Host) -> str:
     """One sentence: which robot, what does not work, what moves it, the emergency stop."""
-    loop, now_s = host.loop, time.monotonic()
+    loop, now_s, motions = host.loop, time.monotonic(), host.motions
     views = loop.modules.views()
-    faults = [
-        f"{view.kind} is {view.health(now_s)}" for view in views if view.health(now_s) in FAULTS
-    ]
+    health = {view.kind: view.health(now_s) for view in views}
+    faults = [f"{kind} is {word}" for kind, word in health.items() if word in FAULTS]
     running = [view.kind for view in views if view.phase == "running"]
     works = f"{', '.join(running)} {'works' if len(running) == 1 else 'work'}"
-    state = "; ".join(faults) or (works if running else "nothing is started")
-    moved = f"moved by {', '.join(host.motions)}" if host.motions else "nothing moves it"
-    cause = loop.emergency_stop.cause()
-    stop = ""
+    told = ["; ".join(faults) or (works if running else "nothing is started")]
+    if running or motions:
+        told.append(f"moved by {', '.join(motions)}" if motions else "nothing moves it")
     if loop.emergency_stop.is_latched():
-        stop = f"; the emergency stop is latched{f' ({cause})' if cause else ''}"
-    robot = str(loop.robot_facts)
-    return f"{robot[0].upper()}{robot[1:]}: {state}; {moved}{stop}."
+        cause = loop.emergency_stop.cause()
+        told.append(f"the emergency stop is latched{f' ({cause})' if cause else ''}")
+    facts = loop.robot_facts
+    return f"{facts.kind.capitalize()} robot {facts.name}: {'; '.join(told)}."
 
 
 def _tightened(loop: ClosedLoop) -> dict[str, object]:
