@@ -21,11 +21,7 @@ def application(application_of: Callable[..., Application]) -> Application:
 
 
 def tools(application: Application) -> dict[str, types.Tool]:
-    async def ask() -> dict[str, types.Tool]:
-        async with Client(application.server) as client:
-            return {tool.name: tool for tool in (await client.list_tools()).tools}
-
-    return anyio.run(ask)
+    return {tool.name: tool for tool in application.tools.listing()}
 
 
 @pytest.mark.parametrize(
