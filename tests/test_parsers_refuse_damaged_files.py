@@ -7,14 +7,28 @@ state file falls to the safe side.
 from __future__ import annotations
 
 import json
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from rn_eval.ledger import read_plan
+from rn_interfaces import described as descriptions
+from rn_interfaces.description import TypeDescription
+from rn_interfaces.store import DefinitionStore
 from rn_link.machine import read_machine
+from rn_recorder_runs.files import (
+    Record,
+    RunFile,
+    is_finished,
+    read_about,
+    read_attachments,
+    read_records,
+    read_statistics,
+)
 from rn_recorder_runs.store import read_facts
+from rn_standard.direct_path.type_hashes import read_type_hashes
 from rn_standard.ops.incidents import Incidents
 from rn_standard.ops.maintenance import FILE_NAME as MAINTENANCE
 from rn_standard.ops.maintenance import MaintenanceFile
@@ -59,7 +73,71 @@ def pin(folder: Path) -> None:
     ReleasePin(folder, clock_s=lambda: 0.0).check("", who="x", audit=AuditLog.in_directory(folder))
 
 
+def described(folder: Path) -> None:
+    assert len(TypeDescription(descriptions.read_facts(folder / "A.json"), ()).addresses) == 3
+
+
+def mcap() -> bytes:
+    """A finished file with a message and an attachment."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "a.mcap")
+        file = RunFile(path, {"a": "b"}, {"std_msgs/msg/String": "string data"})
+        data = b"\0\1\0\0\2\0\0\0a\0"
+        file.write(Record("/a", "std_msgs/msg/String", 1, 1, 1, data))
+        file.attach("a.json", "application/json", b"{}", 1)
+        file.finish()
+        return path.read_bytes()
+
+
+def recorded(read: Callable[[Path], object]) -> Parser:
+    parse = in_file("a.mcap", lambda folder: read(folder / "a.mcap"))
+    return Parser("*.mcap", parse, MCAP, NOTHING)
+
+
+MCAP = mcap()
+FIELD = {
+    "name": "data",
+    "type": {"type_id": 2, "capacity": 0, "string_capacity": 0, "nested_type_name": ""},
+    "default_value": "",
+}
+TYPE = {"type_name": "a_msgs/msg/A", "fields": [FIELD]}
+DESCRIPTION = {
+    "type_description_msg": {"type_description": TYPE, "referenced_type_descriptions": [TYPE]},
+    "type_hashes": [{"type_name": "a_msgs/msg/A", "hash_string": "RIHS01_" + "0a" * 32}],
+}
 PARSERS = {
+    "type description": Parser(
+        "share/*/*.json", in_file("A.json", described), DESCRIPTION, (ConfigurationError,)
+    ),
+    "type hashes": Parser(
+        "share/*/*.json",
+        in_file("A.json", lambda folder: descriptions.read_hashes(folder / "A.json")),
+        DESCRIPTION,
+        (ConfigurationError,),
+    ),
+    "type hashes, direct path": Parser(
+        "share/*/*.json",
+        in_file("A.json", lambda folder: read_type_hashes(folder / "A.json")),
+        DESCRIPTION,
+        (ConfigurationError,),
+    ),
+    "type hashes, generated": Parser(
+        "rosidl",
+        lambda folder, data: descriptions.described_hashes(data),
+        DESCRIPTION,
+        (ForeignDataError,),
+    ),
+    "origins": Parser(
+        "origins.json",
+        in_file("origins.json", lambda folder: DefinitionStore(folder).origins()),
+        {"a_msgs/msg/A": ["/talker", "RIHS01_0a"]},
+        (ConfigurationError,),
+    ),
+    "statistics": recorded(read_statistics),
+    "attachments": recorded(read_attachments),
+    "metadata": recorded(read_about),
+    "records": recorded(lambda path: [*read_records(path)]),
+    "finished": recorded(is_finished),
     "recording": Parser(
         "run.json",
         in_file("run.json", read_facts),

@@ -5,7 +5,6 @@ digest of its sources. Existing entries are never changed, so that processes may
 from __future__ import annotations
 
 import hashlib
-import json
 import os
 import shutil
 import sys
@@ -16,6 +15,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from rn_interfaces.asking import ask_each
+from rn_interfaces.described import read_facts, used_types
 from rn_interfaces.description import TypeDescription, TypeSource
 from rn_interfaces.generate import FORM
 from rn_interfaces.store import KINDS, DefinitionStore, Name, parse_name, write
@@ -97,9 +97,8 @@ class Cache:
         `weld_msgs/srv/Strike_Request`.
         """
         path = self._store.share / f"{full_name}.json"
-        facts = json.loads(path.read_text(encoding="utf-8"))
-        described = facts["type_description_msg"]["referenced_type_descriptions"]
-        names = [full_name, *(one["type_name"] for one in described)]
+        facts = read_facts(path)
+        names = [full_name, *used_types(facts)]
         return TypeDescription(facts, [self._source(one) for one in names])
 
     def _source(self, full_name: str) -> TypeSource:
@@ -114,8 +113,7 @@ class Cache:
 
     def _used(self, name: Name) -> list[Name]:
         path = (self._store.share / name.file).with_suffix(".json")
-        described = json.loads(path.read_text(encoding="utf-8"))["type_description_msg"]
-        names = [one["type_name"] for one in described["referenced_type_descriptions"]]
+        names = used_types(read_facts(path))
         return [parse_name(one) for one in names if "_" not in one.rpartition("/")[2]]
 
     def _place(self, name: Name) -> Path:

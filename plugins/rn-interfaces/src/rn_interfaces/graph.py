@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import json
 from typing import Protocol
 
 from rn_interfaces.cache import installed
+from rn_interfaces.described import read_hashes
 from rn_interfaces.store import DefinitionStore, Name, parse_name
 from roboneuron import ConfigurationError
 
@@ -31,15 +31,14 @@ def is_known(store: DefinitionStore, name: Name) -> bool:
 
 
 def hashes_here(store: DefinitionStore, name: Name) -> dict[str, str]:
-    """RIHS01 hashes of a known type and of all its parts, by full name; empty if unknown."""
+    """RIHS01 hashes of a known type and of all its parts, by full name; empty if unknown.
+
+    Raises:
+        ConfigurationError: its description is damaged.
+    """
     folder = installed(name.package, besides=store.prefix) or store.share / name.package
     path = folder / name.kind / f"{name.word}.json"
-    return described_hashes(path.read_text(encoding="utf-8")) if path.is_file() else {}
-
-
-def described_hashes(description: str) -> dict[str, str]:
-    """RIHS01 by full name, from rosidl's JSON description of an interface."""
-    return {one["type_name"]: one["hash_string"] for one in json.loads(description)["type_hashes"]}
+    return read_hashes(path) if path.is_file() else {}
 
 
 def interface_of(type_name: str) -> Name | None:

@@ -13,9 +13,9 @@ from tempfile import TemporaryDirectory
 
 from rn_interfaces.cache import installed
 from rn_interfaces.definitions import Outline, by_package, circles, outline
+from rn_interfaces.described import described_hashes
 from rn_interfaces.found import FoundDefinition, FoundDefinitions, Refusal
 from rn_interfaces.generate import describe
-from rn_interfaces.graph import described_hashes
 from rn_interfaces.sizes import sizes
 from rn_interfaces.store import DefinitionStore, Interface, Name, Origin, write
 from rn_interfaces.stores import known_definition
@@ -134,7 +134,7 @@ class _Lesson:
             for other in self._store.names():
                 if other in self._texts or name not in self._stored(other):
                     continue
-                source = self._store.origins()[str(other)].source
+                source = self._store.origin(other).source
                 self.take(other, FoundDefinition(self._store.text(other), source))
                 changed.add(other)
 
@@ -155,7 +155,7 @@ class _Lesson:
         if str(name) in self._learnt.refused:
             return None
         if self._store.has(name):
-            return FoundDefinition(self._store.text(name), self._store.origins()[str(name)].source)
+            return FoundDefinition(self._store.text(name), self._store.origin(name).source)
         return known_definition(name)
 
     def _refuse(self, name: Name, reason: str, instead: str = "") -> None:

@@ -16,7 +16,7 @@ from pathlib import Path
 from tempfile import NamedTemporaryFile
 from typing import NamedTuple
 
-from roboneuron import ConfigurationError
+from roboneuron import ConfigurationError, ForeignDataError, foreign
 
 KINDS = ("msg", "srv", "action")
 MOST_INTERFACES = 5000
@@ -26,6 +26,7 @@ MOST_TEXT = 262_144
 _NAME = re.compile(r"([a-z][a-z0-9_]{0,99})/(msg|srv|action)/([A-Z][A-Za-z0-9]{0,99})")
 _INDEX = Path("ament_index", "resource_index", "rosidl_interfaces")
 _ORIGINS = "origins.json"
+_MOST_ORIGINS = 8 << 20
 
 
 class Name(NamedTuple):
@@ -140,12 +141,25 @@ class DefinitionStore:
         ]
 
     def origins(self) -> dict[str, Origin]:
-        """Origin by full name."""
+        """Origin by full name. Raises ConfigurationError if the file is damaged."""
         path = self.prefix / _ORIGINS
-        if not path.is_file():
+        try:
+            facts = foreign.read_json(path, most_bytes=_MOST_ORIGINS)
+            return {
+                name: Origin(*(foreign.text(word, name, MOST_TEXT) for word in _pair(name, origin)))
+                for name, origin in foreign.table(facts, "it", MOST_INTERFACES).items()
+            }
+        except FileNotFoundError:
             return {}
-        facts = json.loads(path.read_text(encoding="utf-8"))
-        return {name: Origin(*origin) for name, origin in facts.items()}
+        except ForeignDataError as error:
+            raise ConfigurationError(
+                f"{path} is damaged: {error.message}.",
+                hint="Remove it: it only says where interfaces were learnt, which stay.",
+            ) from error
+
+    def origin(self, name: Name) -> Origin:
+        """Origin of a learnt interface; an unknown one if the list of origins was removed."""
+        return self.origins().get(str(name), Origin("an unknown source", ""))
 
     def add(self, learnt: Mapping[Name, Interface]) -> None:
         """Store texts, replacing earlier ones of the same names; all files are replaced atomically.
@@ -209,6 +223,10 @@ class DefinitionStore:
         with (self.prefix / ".lock").open("w") as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)
             yield
+
+
+def _pair(name: str, origin: object) -> list[object]:
+    return foreign.items(origin, name, least=2, most=2)
 
 
 def write(path: Path, text: str) -> None:

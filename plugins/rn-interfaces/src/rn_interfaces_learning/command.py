@@ -110,7 +110,7 @@ def _show(store: DefinitionStore, type_name: str) -> int:
             f"{name} is not learnt.",
             hint="`roboneuron ros list` shows what is; `roboneuron describe` shows compiled types.",
         )
-    origin = store.origins()[str(name)]
+    origin = store.origin(name)
     head = (f"# {name}", f"# {origin.type_hash}", f"# from {origin.source}")
     _write([*head, *store.text(name).splitlines()])
     return 0

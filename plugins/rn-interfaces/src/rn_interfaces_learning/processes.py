@@ -7,9 +7,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from rn_interfaces.definitions import outline
+from rn_interfaces.described import read_hashes
 from rn_interfaces.finder import PREFIXES
 from rn_interfaces.found import FoundDefinition
-from rn_interfaces.graph import described_hashes
 from rn_interfaces.store import Name
 from roboneuron import ConfigurationError
 
@@ -45,10 +45,10 @@ def definition_of(
     for prefix in prefixes:
         try:
             path = (prefix / "share" / name.file).with_suffix(".json")
-            hashes = described_hashes(path.read_text(encoding="utf-8"))
+            hashes = read_hashes(path)
             if announced.items() <= hashes.items():
                 return dict(_texts(prefix, name, announced))
-        except (OSError, ValueError, KeyError, TypeError, ConfigurationError):
+        except (OSError, ValueError, ConfigurationError):
             continue  # it has none, or a damaged one
     return {}
 

@@ -43,6 +43,8 @@ DAMAGE = (McapError, ZstdError, ZlibError, struct.error, ValueError, EOFError, U
 """Exceptions of a reader at the end of a truncated file."""
 _DAMAGE_OF_OTHERS = (MemoryError, OverflowError, RuntimeError, KeyError, IndexError)
 """Further ones, in files that were changed; RuntimeError is that of LZ4."""
+_DAMAGE_OF_INDEX = (*DAMAGE, *_DAMAGE_OF_OTHERS, OSError)
+"""Those of an index; OSError is that of an offset before the file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -296,8 +298,12 @@ def read_about(path: Path) -> dict[str, str]:
 
 
 def read_statistics(path: Path) -> tuple[Statistics | None, dict[int, str]]:
-    """Statistics of a finished file from its index, and topic by channel; None without an index."""
-    with path.open("rb") as file, suppress(*DAMAGE):
+    """Statistics of a finished file from its index, and topic by channel; None without an index.
+
+    Raises:
+        FileNotFoundError, PermissionError: it cannot be opened.
+    """
+    with path.open("rb") as file, suppress(*_DAMAGE_OF_INDEX):
         summary = make_reader(file).get_summary()
         if summary is not None and summary.statistics is not None:
             return summary.statistics, {
@@ -307,8 +313,12 @@ def read_statistics(path: Path) -> tuple[Statistics | None, dict[int, str]]:
 
 
 def read_attachments(path: Path) -> dict[str, bytes]:
-    """Attachments of a finished file, by name."""
-    with path.open("rb") as file, suppress(*DAMAGE):
+    """Attachments of a finished file, by name; none of a damaged one.
+
+    Raises:
+        FileNotFoundError, PermissionError: it cannot be opened.
+    """
+    with path.open("rb") as file, suppress(*_DAMAGE_OF_INDEX):
         return {entry.name: entry.data for entry in make_reader(file).iter_attachments()}
     return {}
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import sys
 from collections.abc import Sequence
@@ -10,7 +9,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from roboneuron import ConfigurationError
+from roboneuron import ConfigurationError, ForeignDataError, foreign
 
 if TYPE_CHECKING:
     from rclpy.topic_endpoint_info import TopicEndpointInfo
@@ -22,17 +21,40 @@ NAMELESS = "_NODE_NAME_UNKNOWN_"
 BARE = "_CREATED_BY_BARE_DDS_APP_"
 """rcl's name for the node of an endpoint of a program without ROS."""
 
+_MOST_BYTES = 4 << 20
+_MOST_TYPES = 20_000
+
 
 @cache
 def _own_hash(type_name: str, part: str) -> str:
-    """Hash of a part of the type in this process, empty if unknown; cached like the class."""
+    """Hash of a part of the type in this process, empty if unknown; cached like the class.
+
+    Raises ConfigurationError if its description is damaged.
+    """
     for prefix in [*os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep), sys.prefix]:
         path = Path(prefix, "share", f"{type_name}.json")
         if prefix and path.is_file():
-            hashes = json.loads(path.read_text(encoding="utf-8"))["type_hashes"]
-            name = f"{type_name}{part}"
-            return next((str(one["hash_string"]) for one in hashes if one["type_name"] == name), "")
+            return read_type_hashes(path).get(f"{type_name}{part}", "")
     return ""
+
+
+def read_type_hashes(path: Path) -> dict[str, str]:
+    """Hashes by full name, from rosidl's description. Raises ConfigurationError if damaged."""
+    try:
+        facts = foreign.read_json(path, most_bytes=_MOST_BYTES)
+        listed = foreign.items(foreign.field(facts, "type_hashes"), "type_hashes", most=_MOST_TYPES)
+        return {
+            foreign.text(foreign.field(one, "type_name"), "type_name"): foreign.text(
+                foreign.field(one, "hash_string"), "hash_string"
+            )
+            for one in listed
+        }
+    except (FileNotFoundError, ForeignDataError) as error:
+        reason = error.message if isinstance(error, ForeignDataError) else "it is not there"
+        raise ConfigurationError(
+            f"{path} is no description of a type: {reason}.",
+            hint="Install its package again, or learn the type again: `roboneuron ros learn`.",
+        ) from error
 
 
 def check_type_hash(
