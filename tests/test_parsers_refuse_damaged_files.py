@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import tempfile
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -70,7 +71,8 @@ def latch(folder: Path) -> None:
 
 
 def pin(folder: Path) -> None:
-    ReleasePin(folder, clock_s=lambda: 0.0).check("", who="x", audit=AuditLog.in_directory(folder))
+    with closing(AuditLog.in_directory(folder)) as audit:
+        ReleasePin(folder, clock_s=lambda: 0.0).check("", who="x", audit=audit)
 
 
 def described(folder: Path) -> None:

@@ -67,6 +67,12 @@ class CubeAgent(Agent):
                 if found["held_s"] > before["held_s"] and rose_m < STILL_M:
                     return found
 
+    async def says_tightened(self) -> None:
+        """Control reports that its limits are tightened; a report may be older than the call."""
+        with anyio.fail_after(SETTLE_S):
+            while (await self.status("control"))["metrics"]["limits"] != "tightened":
+                await anyio.sleep(0.1)
+
 
 async def keeps_what_it_holds(agent: CubeAgent) -> None:
     await agent.do("start_all")
@@ -76,10 +82,10 @@ async def keeps_what_it_holds(agent: CubeAgent) -> None:
     assert before["lifted_m"] > 0.1
 
     asked = await agent.do("move_ee", dz_m=0.02, simulate=True)
-    assert asked["target_m"][2] == pytest.approx(asked["position_m"][2] + 0.02, abs=1e-4)
+    assert (asked["simulated"], asked["allowed"]) == (True, True)
     assert asked["duration_s"] > 0.0
-    assert asked["holding"] is True
     moved = await agent.do("move_ee", dz_m=0.02)
+    assert moved["position_m"] == pytest.approx(asked["position_m"], abs=0.005)
     assert (moved["holding"], moved["lost_on_the_way"]) == (True, False)
     after = await agent.held_cube("green")
     assert after["lifted_m"] == pytest.approx(before["lifted_m"] + 0.02, abs=0.006)
@@ -111,7 +117,7 @@ async def keeps_to_tightened_limits(agent: CubeAgent) -> None:
     assert (limits["max_speed_m_s"], limits["upper_m"][1]) == (0.05, 0.1)
     told = (await agent.do("get_status"))["tightened_limits"]
     assert (told["max_speed_m_s"], told["workspace_upper_m"][1]) == (0.05, 0.1)
-    assert (await agent.status("control"))["metrics"]["limits"] == "tightened"
+    await agent.says_tightened()
 
     slow = await agent.do("move_ee", dx_m=0.1)
     assert slow["duration_s"] > 0.1 / 0.05
@@ -122,7 +128,7 @@ async def keeps_to_tightened_limits(agent: CubeAgent) -> None:
     assert wider["max_speed_m_s"] == 0.05, "tighter stays tighter"
     await agent.do("stop_control")
     await agent.do("start_control")
-    assert (await agent.status("control"))["metrics"]["limits"] == "tightened"
+    await agent.says_tightened()
     assert "roboneuron limits --loosen" in await agent.fail("loosen_limits")
 
 
