@@ -35,7 +35,8 @@ engine = "{engine}"
 start_timeout_s = 180.0
 state_directory = "{state}"
 """
-LEFT_M = 0.15
+LEFT_M = 0.3
+"""To where no other cube of the scene stands."""
 STILL_M, SETTLE_S = 0.0005, 30.0
 NEAR_M = 0.02
 """A cube released 2 mm above the table, by fingers that open one after the other, may slide."""
