@@ -9,10 +9,9 @@ import threading
 from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import IO
+from typing import IO, TypedDict, Unpack
 
 from pydantic import Field
-from typing_extensions import TypedDict, Unpack
 
 from roboneuron import (
     Arguments,
