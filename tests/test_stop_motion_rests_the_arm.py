@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -50,6 +51,17 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Arm]:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_arm_rests_and_stays_at_rest(arm: Arm, kind: str) -> None:
+    for _ in range(3):
+        answer = stopped_while_it_moves(arm, kind)
+        if answer["stopped"] or not KINDS[kind]:
+            break  # else a busy machine ended the motion before the stop
+    assert answer["at_rest"] is True
+    assert any(KINDS[kind] in one for one in answer["stopped"]) or not KINDS[kind]
+    assert not arm.steward.call("get_status", {})["emergency_stop"]
+
+
+def stopped_while_it_moves(arm: Arm, kind: str) -> dict[str, Any]:
+    """Start a motion of a kind, stop it, judge the rest; return what stop_motion answered."""
     client = arm.use("http", "2025-11-25", "notification", kind)
     arm.prepare(kind)
     if kind == "set_instruction":
@@ -66,15 +78,13 @@ def test_the_arm_rests_and_stays_at_rest(arm: Arm, kind: str) -> None:
             f"{kind} moves nothing: {client.said()[-2000:]} {arm.module('control')}"
         )
         since_s = time.monotonic()
-        answer = arm.steward.call("stop_motion", {})
+        answer: dict[str, Any] = arm.steward.call("stop_motion", {})
         wait_until(arm.rests, 5.0, "rest")
         took_s = arm.rested_after_s(since_s)
         print(f"{kind}: at rest after {took_s:.3f} s, answered {answer['took_s']:.3f} s")
         assert not holds_within(arm.moves, QUIET_S), "it moves again"
         assert took_s < REST_S
-        assert answer["at_rest"] is True
-        assert any(KINDS[kind] in one for one in answer["stopped"]) or not KINDS[kind]
-        assert not arm.steward.call("get_status", {})["emergency_stop"]
+        return answer
     finally:
         arm.push(False)
         client.leave_call()
