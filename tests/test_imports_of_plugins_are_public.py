@@ -81,7 +81,7 @@ PUBLISHED = {
     "snapshot task_robot",
     "teleoperation": "contract_cases feature hooks rows samples",
     "tools_arm": "absolute ee_move end_effector grip joints motion_meter options picking "
-    "place_plans placing prediction pushing routes tightening tools",
+    "place_plans placing prediction pushing routes several_arms tightening",
     "tools_inspect": "looking sight_feature",
     "tools_loop": "instructing results",
     "tools_ros": "interfaces publish",

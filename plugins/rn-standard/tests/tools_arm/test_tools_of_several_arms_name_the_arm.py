@@ -18,13 +18,14 @@ from numpy.typing import NDArray
 from rn_standard.direct_path.delivery import _hold
 from rn_standard.direct_path.exposed import POSES_LABEL, action_endpoint
 from rn_standard.tools_arm import grip, joints, motion_timing
-from rn_standard.tools_arm.arm_rows import ArmRows, Rest, of_named_arm
+from rn_standard.tools_arm.arm_rows import ArmRows, Rest
 from rn_standard.tools_arm.ee_move import MoveEndEffector
 from rn_standard.tools_arm.end_effector import EndEffectorMover
 from rn_standard.tools_arm.joints import JointMover, MoveJoints
 from rn_standard.tools_arm.options import ArmToolsOptions
 from rn_standard.tools_arm.prediction import PredictedArm
-from rn_standard.tools_arm.tools import MoveOfArm, arm_tools
+from rn_standard.tools_arm.several_arms import OfArm, of_named_arm
+from rn_standard.tools_arm.tools import arm_tools
 from roboneuron.config import LimitsConfig
 from roboneuron.contract import (
     EE_DELTA,
@@ -201,7 +202,7 @@ def move(pair: Pair, **arguments: Any) -> Any:
         side: EndEffectorMover(exposed(), PAIR, pair.host, ArmToolsOptions(), tcps, side)
         for side in SIDES
     }
-    return anyio.run(MoveOfArm(movers), MoveEndEffector(**arguments), CONTEXT)
+    return anyio.run(OfArm(movers), MoveEndEffector(**arguments), CONTEXT)
 
 
 def test_the_named_arm_moves_and_the_other_is_told_to_stay(pair: Pair) -> None:

@@ -23,13 +23,12 @@ from rn_standard.tools_arm.ee_move import MoveEndEffector
 from rn_standard.tools_arm.end_effector import EndEffectorMover
 from rn_standard.tools_arm.grip import Grip, is_blocked
 from rn_standard.tools_arm.joints import JointMover, MoveJoints
-from rn_standard.tools_arm.picking import OfArm as PickOfArm
 from rn_standard.tools_arm.picking import PickArguments, Picker
 from rn_standard.tools_arm.place_plans import PlaceArguments
-from rn_standard.tools_arm.placing import PlaceOfArm, Placer
-from rn_standard.tools_arm.pushing import PushArguments, Pusher, PushOfArm
+from rn_standard.tools_arm.placing import Placer
+from rn_standard.tools_arm.pushing import PushArguments, Pusher
 from rn_standard.tools_arm.routes import DrivenCarrier, Waypoint, run_route
-from rn_standard.tools_arm.tools import MoveOfArm
+from rn_standard.tools_arm.several_arms import OfArm
 from rn_standard.tools_ros.publish import Publish, Publishing, encode_step
 from roboneuron import (
     F64,
@@ -161,7 +160,7 @@ class Session:
 
     def _move_ee(self, tool: Tool[Any], arguments: MoveEndEffector) -> None:
         handler = tool.handler
-        mover = handler.of(arguments.arm) if isinstance(handler, MoveOfArm) else handler
+        mover = handler.of(arguments.arm) if isinstance(handler, OfArm) else handler
         assert isinstance(mover, EndEffectorMover)
         self._move(mover, arguments)
 
@@ -183,9 +182,7 @@ class Session:
     def _grasp_or_push(self, tool: Tool[Any], arguments: PickArguments | PushArguments) -> None:
         """The first route only: what would be seen after it is not known."""
         handler, looker = tool.handler, looker_of(self._host)
-        of_arm = (
-            handler.of(arguments.arm) if isinstance(handler, PickOfArm | PushOfArm) else handler
-        )
+        of_arm = handler.of(arguments.arm) if isinstance(handler, OfArm) else handler
         assert isinstance(of_arm, Picker | Pusher)
         start, who = of_arm.mover.pose_of(self.arm), self._context.who
         speed = 1.0
@@ -223,7 +220,7 @@ class Session:
     def _place(self, tool: Tool[Any], arguments: PlaceArguments) -> None:
         """With the twin's hand, which may lose what it holds as the robot's may."""
         handler = tool.handler
-        placer = handler.of(arguments.arm) if isinstance(handler, PlaceOfArm) else handler
+        placer = handler.of(arguments.arm) if isinstance(handler, OfArm) else handler
         assert isinstance(placer, Placer)
         names = [part.name for part in self._profile.each_arm]
         try:

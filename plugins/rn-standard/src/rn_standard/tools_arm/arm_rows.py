@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TypeVar
 
 import numpy as np
 
@@ -15,14 +14,12 @@ from roboneuron import (
     EE_DELTA,
     Action,
     ControlSpace,
-    InvalidInputError,
     Pose,
     RobotProfile,
     apply_delta,
     robot_space,
 )
 
-T = TypeVar("T")
 _AT_ORIGIN = Pose(position_m=np.zeros(3), quaternion_xyzw=np.array([0.0, 0.0, 0.0, 1.0]))
 
 
@@ -93,12 +90,3 @@ def to_message(space: ControlSpace, row: F64) -> object:
 
     dimension = MultiArrayDimension(label=space.label, size=space.size, stride=space.size)
     return Float64MultiArray(layout=MultiArrayLayout(dim=[dimension]), data=row.tolist())
-
-
-def of_named_arm(by_arm: Mapping[str, T], arm: str) -> T:
-    """Return the value of an arm. Raises InvalidInputError, which names the arms."""
-    if arm not in by_arm:
-        names = ", ".join(map(repr, by_arm))
-        told = f"There is no arm {arm[:64]!r}" if arm else "The call names no arm"
-        raise InvalidInputError(f"{told}; the arms are {names}.", path="arm")
-    return by_arm[arm]

@@ -9,20 +9,18 @@ from typing import Annotated
 
 import numpy as np
 from pydantic import Field
-from pydantic.json_schema import JsonSchemaValue
 
-from rn_standard.direct_path.derived import Derived
 from rn_standard.sight.locator import LocatedObject
 from rn_standard.sight.looker import Looker, looker_of, seen_target
 from rn_standard.sight.marks import CellLook, name_of, seen_names
 from rn_standard.tools_arm.absolute import yaw_of
-from rn_standard.tools_arm.arm_rows import of_named_arm
 from rn_standard.tools_arm.displacement import MovedObject, displaced
 from rn_standard.tools_arm.end_effector import EndEffectorMover
 from rn_standard.tools_arm.grasps import Grasp, boxes_without, grasps_of, route_to_grasp
 from rn_standard.tools_arm.grip import Grip
 from rn_standard.tools_arm.options import HandOptions
 from rn_standard.tools_arm.routes import RobotCarrier, Waypoint, now_ns, rehearse, run_route
+from rn_standard.tools_arm.several_arms import arguments_of, handler_of
 from roboneuron import (
     Arguments,
     CallContext,
@@ -179,21 +177,6 @@ def target_of(arguments: PickArguments, looker: Looker, who: str) -> tuple[CellL
     )
 
 
-class OfArm:
-    """The handler of a tool for several arms."""
-
-    def __init__(self, handlers: Mapping[str, Picker]) -> None:
-        self._handlers = handlers
-
-    def of(self, arm: str) -> Picker:
-        """The one of that arm. Raises InvalidInputError."""
-        return of_named_arm(self._handlers, arm)
-
-    async def __call__(self, arguments: PickArguments, context: CallContext) -> Picked:
-        """Raises as the handler of the arm; InvalidInputError also for an unknown arm."""
-        return await self.of(arguments.arm)(arguments, context)
-
-
 def pick_tool(
     host: Host,
     movers: Mapping[str, EndEffectorMover],
@@ -209,22 +192,14 @@ def pick_tool(
         arm: Picker(host, movers[arm], grip, hand, partial(remember, arm))
         for arm, grip in grips.items()
     }
-    properties: dict[str, JsonSchemaValue] = {name: {} for name in PickArguments.model_fields}
-    several = [*pickers] != [""]
-    if several:
-        properties["arm"] = {"enum": [*pickers]}
-    else:
-        del properties["arm"]
     return Tool(
         name="pick",
         title="Grasp an object from above",
         description=f"Grasp an object from above with {robot!r} and lift it; looks before and "
         "after.",
-        arguments=Derived(
-            model=PickArguments, properties=properties, required=["arm"] if several else []
-        ),
+        arguments=arguments_of(PickArguments, pickers),
         result=Picked,
-        handler=OfArm(pickers) if several else pickers[""],
+        handler=handler_of(pickers),
         simulated_by=frozenset({"twin"}),
         open_world=True,
     )

@@ -8,12 +8,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from pydantic import Field
-from pydantic.json_schema import JsonSchemaValue
 
-from rn_standard.direct_path.derived import Derived
 from rn_standard.sight.looker import looker_of
 from rn_standard.sight.marks import name_of, nearest_like
-from rn_standard.tools_arm.arm_rows import of_named_arm
 from rn_standard.tools_arm.displacement import FOLLOW_M, MovedObject, displaced
 from rn_standard.tools_arm.ee_move import EndEffectorMove, MoveEndEffector
 from rn_standard.tools_arm.end_effector import EndEffectorMover
@@ -21,6 +18,7 @@ from rn_standard.tools_arm.grip_height import GripHeight
 from rn_standard.tools_arm.options import HandOptions
 from rn_standard.tools_arm.place_plans import PlaceArguments, PlacePlan, plan_place
 from rn_standard.tools_arm.routes import RobotCarrier, now_ns, run_route
+from rn_standard.tools_arm.several_arms import arguments_of, handler_of
 from roboneuron import (
     CallContext,
     Host,
@@ -225,23 +223,6 @@ def _check(moved: EndEffectorMove) -> None:
         )
 
 
-class PlaceOfArm:
-    """The handler of place for several arms."""
-
-    def __init__(self, placers: Mapping[str, Placer]) -> None:
-        self._placers = placers
-
-    def of(self, arm: str) -> Placer:
-        """The one of that arm. Raises InvalidInputError."""
-        return of_named_arm(self._placers, arm)
-
-    async def __call__(self, arguments: PlaceArguments, context: CallContext) -> Placed:
-        """Raises as `Placer`; InvalidInputError also for an unknown arm or one without a
-        gripper.
-        """
-        return await self.of(arguments.arm)(arguments, context)
-
-
 def place_tool(
     host: Host,
     movers: Mapping[str, EndEffectorMover],
@@ -259,22 +240,14 @@ def place_tool(
         robot: name of the robot.
     """
     placers = {arm: Placer(movers[arm], grip, host, hand) for arm, grip in grips.items()}
-    properties: dict[str, JsonSchemaValue] = {name: {} for name in PlaceArguments.model_fields}
-    several = [*placers] != [""]
-    if several:
-        properties["arm"] = {"enum": [*placers]}
-    else:
-        del properties["arm"]
     return Tool(
         name="place",
         title="Put down what the hand holds",
         description=f"Put down what {robot!r} holds: shifted by dx_m, dy_m, at a position, on an "
         "object or beside one. Looks before and after.",
-        arguments=Derived(
-            model=PlaceArguments, properties=properties, required=["arm"] if several else []
-        ),
+        arguments=arguments_of(PlaceArguments, placers),
         result=Placed,
-        handler=PlaceOfArm(placers) if several else placers[""],
+        handler=handler_of(placers),
         simulated_by=frozenset({"twin"}),
         open_world=True,
     )

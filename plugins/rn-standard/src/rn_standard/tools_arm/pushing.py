@@ -9,14 +9,11 @@ from functools import partial
 
 import numpy as np
 from pydantic import Field
-from pydantic.json_schema import JsonSchemaValue
 
-from rn_standard.direct_path.derived import Derived
 from rn_standard.sight.locator import LocatedObject
 from rn_standard.sight.looker import Looker, looker_of, seen_target
 from rn_standard.sight.marks import CellLook, name_of, nearest_like
 from rn_standard.tools_arm.absolute import top_down, yaw_of
-from rn_standard.tools_arm.arm_rows import of_named_arm
 from rn_standard.tools_arm.displacement import FOLLOW_M, MovedObject, displaced
 from rn_standard.tools_arm.ee_line import F64
 from rn_standard.tools_arm.end_effector import EndEffectorMover
@@ -25,6 +22,7 @@ from rn_standard.tools_arm.grip import Grip
 from rn_standard.tools_arm.hand_space import UprightBox, nearest_obstacle, parts_of_hand
 from rn_standard.tools_arm.options import HandOptions
 from rn_standard.tools_arm.routes import RobotCarrier, Waypoint, now_ns, rehearse, run_route
+from rn_standard.tools_arm.several_arms import arguments_of, handler_of
 from roboneuron import (
     Arguments,
     CallContext,
@@ -311,21 +309,6 @@ def _look_anew(looker: Looker, who: str, since_ns: int, _: Stage) -> CellLook:
     return looker.look(who, since_ns)
 
 
-class PushOfArm:
-    """The handler of push for several arms."""
-
-    def __init__(self, pushers: Mapping[str, Pusher]) -> None:
-        self._pushers = pushers
-
-    def of(self, arm: str) -> Pusher:
-        """The one of that arm. Raises InvalidInputError."""
-        return of_named_arm(self._pushers, arm)
-
-    async def __call__(self, arguments: PushArguments, context: CallContext) -> Pushed:
-        """Raises as `Pusher`; InvalidInputError also for an unknown arm."""
-        return await self.of(arguments.arm)(arguments, context)
-
-
 def push_tool(
     host: Host,
     movers: Mapping[str, EndEffectorMover],
@@ -335,22 +318,14 @@ def push_tool(
 ) -> Tool[PushArguments]:
     """Create push for the arms that have a gripper."""
     pushers = {arm: Pusher(host, movers[arm], grip, hand) for arm, grip in grips.items()}
-    properties: dict[str, JsonSchemaValue] = {name: {} for name in PushArguments.model_fields}
-    several = [*pushers] != [""]
-    if several:
-        properties["arm"] = {"enum": [*pushers]}
-    else:
-        del properties["arm"]
     return Tool(
         name="push",
         title="Push an object",
         description=f"Push an object over the table with the closed fingers of {robot!r}, and "
         "correct it by looking.",
-        arguments=Derived(
-            model=PushArguments, properties=properties, required=["arm"] if several else []
-        ),
+        arguments=arguments_of(PushArguments, pushers),
         result=Pushed,
-        handler=PushOfArm(pushers) if several else pushers[""],
+        handler=handler_of(pushers),
         simulated_by=frozenset({"twin"}),
         open_world=True,
     )

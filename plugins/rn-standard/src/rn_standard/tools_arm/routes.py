@@ -83,7 +83,7 @@ class RobotCarrier:
         moved = await self._mover(MoveEndEffector.model_validate(fields), self._context)
         if moved.simulated or not moved.allowed:
             raise RefusedError(
-                f"The arm was not moved: {moved.reason or 'dry run'}.", rule="simulate"
+                f"The arm was not moved: {moved.reason or 'only simulated'}.", rule="simulate"
             )
         self._holding = moved.holding
 

@@ -2,13 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
-from pydantic.json_schema import JsonSchemaValue
-
-from rn_standard.direct_path.derived import Derived
 from rn_standard.direct_path.exposed import ACTION_LABELS
-from rn_standard.tools_arm.arm_rows import of_named_arm
 from rn_standard.tools_arm.ee_move import EndEffectorMove, MoveEndEffector
 from rn_standard.tools_arm.end_effector import EndEffectorMover
 from rn_standard.tools_arm.grasps import Grasp
@@ -20,7 +14,8 @@ from rn_standard.tools_arm.picking import pick_tool
 from rn_standard.tools_arm.placing import place_tool
 from rn_standard.tools_arm.pushing import push_tool
 from rn_standard.tools_arm.put_down import HeldObject
-from roboneuron import CallContext, Host, Tool
+from rn_standard.tools_arm.several_arms import arguments_of, handler_of
+from roboneuron import Host, Tool
 
 
 def arm_tools(
@@ -49,14 +44,12 @@ def arm_tools(
             grip = GripHeight(host, gate, action, tcp, arm.name)
             hands[arm.name] = grips.setdefault(key, grip)
     movers = {arm: EndEffectorMover(action, profile, host, options, tcps, arm) for arm in tcps}
-    properties: dict[str, JsonSchemaValue] = {name: {} for name in MoveEndEffector.model_fields}
-    properties["duration_s"] = {"maximum": gate.max_duration_s}
-    if not hands:
-        del properties["gripper_open"]
-    if profile.arms:
-        properties["arm"] = {"enum": [*movers]}
-    else:
-        del properties["arm"]
+    arguments = arguments_of(
+        MoveEndEffector,
+        movers,
+        omitted=() if hands else ("gripper_open",),
+        duration_s={"maximum": gate.max_duration_s},
+    )
     move: Tool = Tool(
         name="move_ee",
         title="Move the end effector",
@@ -67,13 +60,9 @@ def arm_tools(
             "while a policy has an instruction. Returns when the arm is measured there; an error "
             "says where it stopped and why."
         ),
-        arguments=Derived(
-            model=MoveEndEffector,
-            properties=properties,
-            required=["arm"] if profile.arms else [],
-        ),
+        arguments=arguments,
         result=EndEffectorMove,
-        handler=MoveOfArm(movers) if profile.arms else movers[""],
+        handler=handler_of(movers),
         simulated_by=frozenset({"twin", "limits"}),
         open_world=True,
     )
@@ -92,21 +81,6 @@ def arm_tools(
         push_tool(host, movers, hands, options.hand, action.robot),
         place_tool(host, movers, hands, options.hand, action.robot),
     ]
-
-
-class MoveOfArm:
-    """The handler of move_ee for several arms."""
-
-    def __init__(self, movers: Mapping[str, EndEffectorMover]) -> None:
-        self._movers = movers
-
-    async def __call__(self, arguments: MoveEndEffector, context: CallContext) -> EndEffectorMove:
-        """Raises as `EndEffectorMover`; InvalidInputError also for an arm that is not there."""
-        return await self.of(arguments.arm)(arguments, context)
-
-    def of(self, arm: str) -> EndEffectorMover:
-        """The one of that arm. Raises InvalidInputError."""
-        return of_named_arm(self._movers, arm)
 
 
 def _one_of(robot: str, arms: list[str]) -> str:
