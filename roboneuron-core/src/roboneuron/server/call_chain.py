@@ -44,6 +44,7 @@ SIMULATE = "simulate"
 """Argument of a call that is simulated instead of carried out."""
 _OLD_NAMES = ("dry_run", "preview")
 """Former names of it, accepted in 0.1."""
+_NAMES = frozenset({SIMULATE, *_OLD_NAMES})
 MOST_TEXT = 2000
 """Maximum length of an error's text [characters]."""
 _MOST_ANSWER = 100_000
@@ -207,13 +208,14 @@ class CallChain:
         nor lease are asked for it: of the twin's tool, or of its own tool with a context by which
         the gate sends nothing. Any other tool refuses it.
         """
-        tool = call.found
-        if tool is None or tool.name == EMERGENCY_TOOL:  # a stop is never only simulated
+        tool, given = call.found, call.arguments
+        # first what nearly every call passes; and a stop is never only simulated
+        if given.keys().isdisjoint(_NAMES) or tool is None or tool.name == EMERGENCY_TOOL:
             return call
-        asked = {name: call.arguments[name] for name in _names(tool) if name in call.arguments}
+        asked = {name: given[name] for name in _names(tool) if name in given}
         if not asked:
             return call
-        own = {key: value for key, value in call.arguments.items() if key not in asked}
+        own = {key: value for key, value in given.items() if key not in asked}
         call = replace(call, arguments=own, deprecated=_deprecated(asked))
         for name, value in asked.items():
             if not isinstance(value, bool):
