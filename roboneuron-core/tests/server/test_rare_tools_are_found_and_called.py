@@ -112,6 +112,12 @@ def test_the_chain_judges_the_tool_that_is_meant(served: Application) -> None:
     assert seen == ["swap_wheel"], "events and the audit name it"
 
 
+def test_a_stop_is_not_refused_for_the_way_it_is_called(served: Application) -> None:
+    answer = call(served, "call_tool", tool="emergency_stop", arguments={"reason": "smoke"})
+    assert not answer.is_error
+    assert served.loop.emergency_stop.is_latched()
+
+
 def test_a_viewer_finds_only_what_a_viewer_may_call(served: Application) -> None:
     assert {tool.name for tool in served.tools.hidden(Role.VIEWER)} == {"list_wheels"}
     assert {tool.name for tool in served.tools.hidden(Role.OPERATOR)} == {

@@ -207,16 +207,16 @@ class ToolRegistry:
     def _named(self, arguments: Mapping[str, Any], role: str) -> tuple[str, Mapping[str, Any]]:
         """The tool that a call of call_tool names, and its arguments, so that the chain judges that
         tool. Raises InvalidInputError for one that is listed: a client's person may have agreed to
-        call_tool, and not to that one.
+        call_tool, and not to that one. What stops something is passed on all the same.
         """
         caller = self.get(CALL_TOOL)
         if caller is None:  # the chain says that there is no such tool
             return CALL_TOOL, arguments
         asked = caller.parsed(arguments)
-        hidden = self.hidden(Role.ADMIN)
-        if asked.tool in {tool.name for tool in hidden}:
+        hidden, found = self.hidden(Role.ADMIN), self.get(asked.tool)
+        if asked.tool in {tool.name for tool in hidden} or (found is not None and found.always):
             return asked.tool, asked.arguments
-        if asked.tool != CALL_TOOL and self.get(asked.tool) is not None:
+        if asked.tool != CALL_TOOL and found is not None:
             raise InvalidInputError(
                 f"{asked.tool} is in the list of tools.", hint="Call it directly.", path="tool"
             )

@@ -244,7 +244,8 @@ def place_tool(
         name="place",
         title="Put down what the hand holds",
         description=f"Put down what {robot!r} holds: shifted by dx_m, dy_m, at a position, on an "
-        "object or beside one. Looks before and after.",
+        "object or beside one. Looks before and after, unless a policy grasped it and the call "
+        "shifts it: that lowers to where it was grasped, whatever stands there.",
         arguments=arguments_of(PlaceArguments, placers),
         result=Placed,
         handler=handler_of(placers),
