@@ -146,6 +146,11 @@ class ToolRegistry:
             and entry.tool.least_role.is_held_by(role)
         ]
 
+    def _is_searched(self, tool: Tool[Any]) -> bool:
+        """Whether it is one of `hidden`, in constant time: every call of call_tool asks."""
+        is_derived = tool.name not in self._owned[_FIXED]
+        return _is_hidden(tool, is_derived=is_derived) and tool.offered()
+
     def get(self, name: str, *, is_derived: bool = False) -> Tool[Any] | None:
         """Return the tool of that name, listed or not, or only a derived one. Constant time in the
         number of tools.
@@ -213,8 +218,8 @@ class ToolRegistry:
         if caller is None:  # the chain says that there is no such tool
             return CALL_TOOL, arguments
         asked = caller.parsed(arguments)
-        hidden, found = self.hidden(Role.ADMIN), self.get(asked.tool)
-        if asked.tool in {tool.name for tool in hidden} or (found is not None and found.always):
+        found = self.get(asked.tool)
+        if found is not None and (found.always or self._is_searched(found)):
             return asked.tool, asked.arguments
         if asked.tool != CALL_TOOL and found is not None:
             raise InvalidInputError(
@@ -222,7 +227,7 @@ class ToolRegistry:
             )
         raise InvalidInputError(
             f"There is no such tool {asked.tool[:80]!r} to be found.",
-            hint=nearest_tools(hidden, asked.tool),
+            hint=nearest_tools(self.hidden(Role.ADMIN), asked.tool),
             path="tool",
         )
 
