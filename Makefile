@@ -14,9 +14,9 @@ PYTHONS ?= python3.11 python3.12 python3.13
 JOBS ?= 2
 # Many of these tests wait for something, so more of them than cores run at a time.
 UNIT_JOBS ?= 4
-ROS_JOBS ?= 4
+ROS_JOBS ?= 3
 # A ROS test that failed runs once more, and the summary names it: a rerun is a fault to look into.
-RERUN := --reruns 1 -raR
+RERUN := --reruns 1 --rerun-show-tracebacks -raR
 
 DEMO_PACKAGES := $(shell sed -n 's|^\./||p' requirements.txt)
 FLEET_PACKAGES := plugins/rn-robot-bases
@@ -28,8 +28,9 @@ COMPILED := plugins/rn-driver-ros2control
 comma := ,
 WITH_EXTRAS := $(patsubst %/rn-backend-pi0,'%/rn-backend-pi0[native]',\
   $(patsubst %/rn-recorder,'%/rn-recorder[export]',\
+  $(patsubst %/rn-locator-transformers,'%/rn-locator-transformers[detectors]',\
   $(patsubst %/rn-perception-camera,'%/rn-perception-camera[video]',\
-  $(patsubst %/rn-eval,'%/rn-eval[ray$(comma)serve]',$(patsubst %/rn-metrics,'%/rn-metrics[otlp]',$(filter-out $(COMPILED),$(ALL_PACKAGES)))))))
+  $(patsubst %/rn-eval,'%/rn-eval[ray$(comma)serve]',$(patsubst %/rn-metrics,'%/rn-metrics[otlp]',$(filter-out $(COMPILED),$(ALL_PACKAGES))))))))
 SOURCES := $(wildcard $(addsuffix /src,$(ALL_PACKAGES)))
 PROJECTS := $(addsuffix /pyproject.toml,$(ALL_PACKAGES)) constraints.txt requirements.txt
 
@@ -121,7 +122,7 @@ check: $(VENV)/.develop ## lint, format, declared dependencies and types
 	$(BIN)/python tools/dependencies.py
 	$(BIN)/mypy $(SOURCES)
 	$(BIN)/mypy --allow-subclassing-any plugins/lerobot-robot-roboneuron/src
-	MYPYPATH=benchmarks:tools:plugins/rn-view/tests:plugins/rn-link/tests:plugins/rn-backend-shared/tests:examples $(BIN)/mypy --cache-dir .mypy_cache/benchmarks \
+	MYPYPATH=benchmarks:tools:plugins/rn-robot-fr3/tests:plugins/rn-view/tests:plugins/rn-link/tests:plugins/rn-backend-shared/tests:examples $(BIN)/mypy --cache-dir .mypy_cache/benchmarks \
 	  --no-explicit-package-bases --allow-subclassing-any --no-warn-return-any benchmarks tools examples noxfile.py
 
 format: $(VENV)/.develop ## put the code into shape

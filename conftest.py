@@ -7,8 +7,10 @@ import os
 import random
 import re
 import sys
+import threading
 from collections import Counter
 from collections.abc import Callable, Generator, Iterator
+from dataclasses import dataclass, field
 from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
@@ -21,9 +23,11 @@ from rn_testing.fakes import fake_registry
 from rn_testing.fakes.wheels import CommandedWheels
 from roboneuron import Spec
 from roboneuron.config import parse_config
+from roboneuron.errors import StateError
 from roboneuron.plugins.registry import Registry
 from roboneuron.ros.environment import prepare_environment
 from roboneuron.server.app import Application
+from roboneuron.server.tool import CallContext, NoArguments, Result, Tool
 
 pytest_plugins = ("rn_testing.isolation", "rn_testing.gate_fixtures")
 settings.register_profile(
@@ -241,3 +245,45 @@ def pytest_unconfigure() -> None:
 
 
 _internal_errors: list[str] = []
+
+
+@dataclass
+class WaitingTool:
+    """The tool `slow`, which works until it is cancelled.
+
+    Attributes:
+        ends: number of cancellations.
+    """
+
+    begun: threading.Event = field(default_factory=threading.Event)
+    cancelled: threading.Event = field(default_factory=threading.Event)
+    ends: int = 0
+
+    async def handle(self, _: NoArguments, context: CallContext) -> Result:
+        return await context.run(self._work, on_cancel=self._on_cancel)
+
+    def _on_cancel(self) -> None:
+        self.ends += 1
+        self.cancelled.set()
+
+    def _work(self, _: Any) -> Result:
+        self.begun.set()
+        if not self.cancelled.wait(60):
+            raise StateError("Nobody cancelled it.")
+        return Result()
+
+
+@pytest.fixture
+def waiting_tool(application: Application) -> WaitingTool:
+    """Give the application of the test the tool `slow`."""
+    tool = WaitingTool()
+    listed = Tool(
+        name="slow",
+        title="s",
+        description="s",
+        arguments=NoArguments,
+        result=Result,
+        handler=tool.handle,
+    )
+    application.tools.add_all([listed])
+    return tool

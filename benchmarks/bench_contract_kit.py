@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from rn_testing import FeatureCase, RuleVerdict, effects, verify
-from rn_testing.automatic import make_case
+from rn_testing.automatic import installed_needs, make_case
 from rn_testing.rules import RULES, rules_of
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.registry import Status
@@ -92,10 +92,7 @@ def count_false_alarms() -> int:
             continue
         case = make_case(offer.spec, {})
         if isinstance(case, FeatureCase):
-            installed = discover().specs(FeatureSpec)
-            case = replace(
-                case, needs=tuple(installed[n] for n in case.spec.needs if n in installed)
-            )
+            case = replace(case, needs=installed_needs(case.spec, discover().specs(FeatureSpec)))
         for rule in rules_of(offer.spec.kind):
             outcome = verify(rule, case)
             outcomes[outcome.verdict] += 1

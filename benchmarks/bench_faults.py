@@ -33,21 +33,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from fault_loop import JointWitness, moving_cell
+from plugin_site import chunks
 from rich.console import Console
 from rich.table import Table
 
-sys.path.insert(0, str(Path(__file__).parent))
-from fault_loop import JointWitness, moving_cell
-from plugin_site import chunks
-
-from rn_standard.selection.requests import StartChosenInference
-from rn_standard.tools_loop.instructing import give_instruction
 from roboneuron.errors import RoboNeuronError
 from roboneuron.modules.settings import EMERGENCY_STOP_TOPIC, ModuleKind
+from roboneuron.selection.requests import StartChosenInference
 from roboneuron.server.loop import ClosedLoop
 from roboneuron.supervisor.health import Health, ModuleView, Watch
-
-sys.path.pop(0)
+from roboneuron.tools.loop.instructing import give_instruction
 
 RATE_HZ = 30.0
 NOTICE, MOTION, HOLD = "noticed", "last motion", "hold"

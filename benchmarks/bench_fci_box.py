@@ -4,7 +4,7 @@ against published limits.
     python benchmarks/bench_fci_box.py --minutes 60 [--loss 0,1,2,5] [--duplicate 0] [--reorder 0]
     [--delay 0]
 
-A served FR3 (server, perception, policy at 20 Hz, control, robot) behind `rn_robot_fr3.fci.box` and
+A served FR3 (server, perception, policy at 20 Hz, control, robot) behind `fci_box` and
 franka-sim. The losses [%] of both directions alternate every `TURN_S`. The commands that the arm
 counts, extrapolated cycles included, are checked for velocity at their position, acceleration and
 jerk. One line per turn is written to out/bench-fci/box/turns.jsonl; an interrupted run can be
@@ -23,10 +23,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-sys.path.insert(0, str(Path(__file__).parent))
 from fci_cell import FciCell, served_fci
-
-sys.path.pop(0)
 
 OUT = Path("out/bench-fci/box")
 TURN_S = 30.0

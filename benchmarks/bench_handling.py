@@ -121,7 +121,8 @@ class Judge:
             if name != colour and np.linalg.norm(after[name] - before[name]) > NEIGHBOUR_M
         }
         told = {one["object"].split()[0] for one in answer.get("others_moved", ())}
-        told |= {one.split()[0] for one in answer.get("not_seen_after", ())}
+        for unsure in ("not_seen_well", "not_seen_after"):
+            told |= {one.split()[0] for one in answer.get(unsure, ())}
         tally.neighbours += len(moved)
         tally.untold += len(moved - told)
         if not succeeded:

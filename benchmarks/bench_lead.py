@@ -13,27 +13,23 @@ of it.
 from __future__ import annotations
 
 import argparse
-import os
-import re
 import statistics
 import sys
 import tempfile
 import threading
 import time
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 
 import numpy as np
-from anyio.from_thread import start_blocking_portal
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "plugins" / "rn-view" / "tests"))
 
 from lead_client import LeadPage  # noqa: E402
+from page_cell import PageCell, served  # noqa: E402
 
-from rn_standard.console.client import spawned_server  # noqa: E402
-from rn_testing.domain import free_ros_domain  # noqa: E402
-from rn_testing.waiting import wait_until  # noqa: E402
 from roboneuron.ros.environment import prepare_environment  # noqa: E402
 
 PERIOD_MS = 20.0
@@ -87,6 +83,11 @@ def watch(commands: Commands, stack: ExitStack) -> None:
     stack.callback(executor.shutdown)
 
 
+def page_cell(folder: Path, config: str, stack: ExitStack) -> PageCell:
+    """A cell without a camera."""
+    return PageCell(folder, config, stack, ("robot", "control"))
+
+
 def measure(url: str, commands: Commands, presses: int) -> tuple[list[float], list[float]]:
     """Delays from presses to commands, and of echoes [ms]."""
     found: list[float] = []
@@ -112,24 +113,15 @@ def main() -> int:
     parser.add_argument("--presses", type=int, default=60)
     parser.add_argument("--quick", action="store_true", help="only whether it works")
     arguments = parser.parse_args()
-    folder = Path(tempfile.mkdtemp())
-    os.environ["ROS_DOMAIN_ID"] = str(free_ros_domain())
-    (folder / "roboneuron.toml").write_text(CONFIG.format(state=folder / "state"))
-    prepare_environment(folder / "log")
-    with ExitStack() as stack:
-        portal = stack.enter_context(start_blocking_portal())
-        server = spawned_server(["--config", str(folder / "roboneuron.toml")], folder / "log.txt")
-        client = stack.enter_context(portal.wrap_async_context_manager(server))
-        for module in ("robot", "control"):
-            portal.call(client.call_tool, f"start_{module}", {})
-        pattern, log = r"live view is at (http://[\d.]+:\d+)", folder / "log.txt"
-        wait_until(lambda: bool(re.search(pattern, log.read_text())), 60.0)
-        commands = Commands()
-        watch(commands, stack)
-        presses = 5 if arguments.quick else arguments.presses
-        url = re.findall(pattern, log.read_text())[0]
-        found, echoes = measure(url, commands, presses)
-        portal.call(client.call_tool, "stop_all", {})
+    presses = 5 if arguments.quick else arguments.presses
+    with tempfile.TemporaryDirectory() as directory:
+        folder = Path(directory) / "cell"
+        prepare_environment(Path(directory) / "log")
+        text = CONFIG.format(state=folder / "state")
+        with served(folder, partial(page_cell, folder, text)) as cell, ExitStack() as stack:
+            commands = Commands()
+            watch(commands, stack)
+            found, echoes = measure(cell.url, commands, presses)
     for name, values in (("press -> joint command", found), ("page -> control -> page", echoes)):
         if not values:
             print(f"missed: no {name}")

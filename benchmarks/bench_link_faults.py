@@ -36,7 +36,6 @@ from typing import Any
 ROOT = Path(__file__).parents[1]
 sys.path.append(str(ROOT / "plugins" / "rn-link" / "tests"))
 sys.path.append(str(ROOT / "plugins" / "rn-backend-shared" / "tests"))
-sys.path.append(str(Path(__file__).parent))
 
 from fault_loop import environment, moving_cell  # noqa: E402
 from link_fault_judge import AGAIN_S, Judge, Witness  # noqa: E402
@@ -44,11 +43,11 @@ from link_faults import DIRECT, RATE_HZ, ROWS, SPOILT, STEP_S, Site, Trial  # no
 from link_machines import impossible, machines  # noqa: E402
 from policy_servers import pair  # noqa: E402
 
-from rn_standard.selection.requests import StartChosenInference  # noqa: E402
-from rn_standard.tools_loop.instructing import give_instruction  # noqa: E402
 from rn_testing.spinning import spinning_node  # noqa: E402
 from roboneuron import RoboNeuronError  # noqa: E402
+from roboneuron.selection.requests import StartChosenInference  # noqa: E402
 from roboneuron.server.loop import ClosedLoop  # noqa: E402
+from roboneuron.tools.loop.instructing import give_instruction  # noqa: E402
 
 OUT = Path("out/bench/link-faults")
 LEDGER = "trials.jsonl"

@@ -28,9 +28,9 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from rn_standard.execution.plugin import FEATURE as EXECUTION
 from rn_testing.domain import free_ros_domain
 from roboneuron.config import ModuleSettings, parse_config
+from roboneuron.modules.execution.plugin import FEATURE as EXECUTION
 from roboneuron.ros.environment import prepare_environment
 from roboneuron.supervisor.changes import Changes
 from roboneuron.supervisor.lifecycle import NodeClient
@@ -226,11 +226,11 @@ def inference(
 def install(scratch: Path) -> Path:
     """Folder of the plugin whose backend answers at once; created if missing."""
     site = scratch / "site"
-    info = site / "loop_plugin-1.0.dist-info"
+    info = site / "echo_plugin-1.0.dist-info"
     info.mkdir(parents=True, exist_ok=True)
-    shutil.copy(HERE / "loop_plugin.py", site)
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: loop-plugin\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text("[roboneuron]\nloop-plugin = loop_plugin\n")
+    shutil.copy(HERE / "echo_plugin.py", site)
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: echo-plugin\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("[roboneuron]\necho-plugin = echo_plugin\n")
     return site
 
 

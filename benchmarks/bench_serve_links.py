@@ -38,22 +38,20 @@ from numpy.typing import NDArray
 ROOT = Path(__file__).parents[1]
 sys.path.append(str(ROOT / "plugins" / "rn-link" / "tests"))
 sys.path.append(str(ROOT / "plugins" / "rn-backend-shared" / "tests"))
-sys.path.append(str(Path(__file__).parent))
 
-from bench_link import open_tap  # noqa: E402
 from link_machines import Machine, impossible  # noqa: E402
 from policy_servers import FarServer, pair  # noqa: E402
-from slow_cable import Link, SlowCable  # noqa: E402
+from slow_cable import Link, SlowCable, open_tap  # noqa: E402
 
 from rn_backend_shared.backend import SharedBackend  # noqa: E402
 from rn_backend_shared.images import CODINGS  # noqa: E402
 from rn_backend_shared.options import SharedOptions  # noqa: E402
 from rn_backend_shared.plugin import BACKEND  # noqa: E402
-from rn_standard.execution.adaptive import AdaptiveExecutor  # noqa: E402
-from rn_standard.execution.mode import Abilities  # noqa: E402
-from rn_standard.inference.execution import Bounds  # noqa: E402
 from rn_testing.fakes.backend import make_observation  # noqa: E402
 from roboneuron import NotReadyError, RoboNeuronError  # noqa: E402
+from roboneuron.modules.execution.adaptive import AdaptiveExecutor  # noqa: E402
+from roboneuron.modules.execution.mode import Abilities  # noqa: E402
+from roboneuron.modules.inference.execution import Bounds  # noqa: E402
 
 LINKS = (
     "0/0/0/1000",
@@ -161,7 +159,7 @@ def robot_before(link: Link) -> Iterator[Machine]:
             stack.enter_context(Machine(folder, name, number))
             for number, name in enumerate(("robot", "gpu"), 1)
         )
-        ends = [open_tap(side, "cable") for side in (here, there)]
+        ends = [open_tap(side.pid, "cable") for side in (here, there)]
         for end in ends:
             stack.callback(os.close, end)
         for side in (here, there):

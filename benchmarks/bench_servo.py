@@ -31,7 +31,7 @@ from rich.table import Table
 from servo_episode import PERIOD_S, Episode, Job, play_at_once, play_overlapped, save_strip
 
 from rn_robot_fr3.simulation import ArmSimulation
-from rn_standard.execution.mode import MODES
+from roboneuron.modules.execution.mode import MODES
 
 SCENE_S = 900.0
 """Time limit of one scene; on an idle machine it takes about 10 s."""

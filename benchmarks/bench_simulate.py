@@ -185,7 +185,7 @@ async def compare(cell: Cell, tool: str, arguments: dict[str, Any]) -> dict[str,
         "moved_in_simulation_rad": max(abs(after[name] - before[name]) for name in ARM_JOINTS),
         "promised_m": told["position_m"],
         "happened_m": await cell.tcp(),
-        "promised_cubes": sorted(told["collides_with"]),
+        "promised_cubes": sorted(told["would_move"]),
         "happened_cubes": sorted(
             f"{name} cube" for name, at in cubes.items() if math.dist(at, now[name]) > MOVED_M
         ),

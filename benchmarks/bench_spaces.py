@@ -20,7 +20,6 @@ import numpy as np
 from rn_controller_urdf.controller import UrdfController
 from rn_controller_urdf.plugin import roboneuron_controllers
 from rn_robot_fr3.profile import HOME_RAD, profile
-from rn_standard.inference.agreement import SpaceAgreement, agree
 from roboneuron.config import LimitsConfig
 from roboneuron.contract import (
     EE_DELTA,
@@ -34,6 +33,7 @@ from roboneuron.contract import (
     robot_space,
 )
 from roboneuron.gate.motion import MotionLimiter, motion_rules
+from roboneuron.modules.inference.agreement import SpaceAgreement, agree
 from roboneuron.ros.messages import (
     row_from_action_message,
     to_action_message,

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import argparse
 import itertools
-import sys
 import tempfile
 import threading
 import time
@@ -23,16 +22,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from plugin_site import chunks
 from rich.console import Console
 from rich.table import Table
-
-sys.path.insert(0, str(Path(__file__).parent))
-from plugin_site import chunks
 from switch_loop import Sent, moving_loop
 
-from rn_standard.selection.requests import StartChosenInference
-from rn_standard.switching.replacing import Switching, SwitchMode
 from roboneuron.errors import RoboNeuronError
+from roboneuron.selection.requests import StartChosenInference
+from roboneuron.switching.replacing import Switching, SwitchMode
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -20,7 +20,7 @@ import os, time
 import anyio
 from mcp import types
 from mcp.server import Server
-from rn_standard.stdio.message_stream import LineWriter, MessageStream
+from roboneuron.stdio.message_stream import LineWriter, MessageStream
 
 async def main():
     writer = LineWriter(os.dup(1))

@@ -16,14 +16,14 @@ from typing import Any
 from plugin_site import installed
 from shared_memory import repaired
 
-from rn_standard.execution.plugin import FEATURE as EXECUTION
-from rn_standard.selection.feature import chosen_forms
-from rn_standard.selection.requests import StartChosenInference
-from rn_standard.switching.plugin import FEATURE as SWITCHING
 from roboneuron.config import parse_config
+from roboneuron.modules.execution.plugin import FEATURE as EXECUTION
 from roboneuron.plugins.discovery import discover
+from roboneuron.selection.feature import chosen_forms
+from roboneuron.selection.requests import StartChosenInference
 from roboneuron.server.loop import ClosedLoop
 from roboneuron.supervisor.supervisor import Supervisor
+from roboneuron.switching.plugin import FEATURE as SWITCHING
 
 HERE = Path(__file__).parent
 PARTS = ("backend", "camera", "gantry", "memory", "camera_clock")

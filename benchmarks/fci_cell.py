@@ -19,18 +19,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from anyio.from_thread import start_blocking_portal
-from mcp import Client, StdioServerParameters
 from numpy.typing import NDArray
 from plugin_site import installed
 from soak_cell import Agent, until
 
 from rn_robot_fr3.fci.addresses import free_address
-from rn_robot_fr3.fci.box.control_box import ControlBox
 from rn_robot_fr3.fci.simulator import FrankaSim
 from rn_robot_fr3.limits import ARM_JOINTS
 from rn_robot_fr3.profile import HOME_RAD
+from rn_testing.agent import blocking_client
 from roboneuron.ros.environment import prepare_environment
+
+sys.path.append(str(Path(__file__).parents[1] / "plugins" / "rn-robot-fr3" / "tests"))
+from fci_box.control_box import ControlBox
 
 F64 = NDArray[np.float64]
 STRICT = ("--enforce-motion-limits", "--enforce-comm-constraints")
@@ -233,24 +234,10 @@ def served_fci(
         prepare_environment(folder / "log")
         from roboneuron.ros.link import RosLink  # heavy
 
-        command = [
-            "-m",
-            "roboneuron.cli.main",
-            "serve",
-            "--config",
-            str(path),
-            "--log-level",
-            "error",
-        ]
-        server = StdioServerParameters(command=sys.executable, args=command, env=dict(os.environ))
         link = RosLink("witness")
         link.open()
         try:
-            made = Client(server, read_timeout_seconds=180)
-            with (
-                start_blocking_portal() as portal,
-                portal.wrap_async_context_manager(made) as client,
-            ):
+            with blocking_client(path, os.environ, "--log-level", "error") as (client, portal):
                 yield FciCell(Agent(client, portal), link, sim, folder, box)
         finally:
             link.close()

@@ -24,17 +24,15 @@ from functools import partial
 from pathlib import Path
 
 import anyio
-import numpy as np
-import pinocchio
-from rich.console import Console
-from rich.table import Table
-
-sys.path.insert(0, str(Path(__file__).parent))
 import bench_direct
 import bench_ik
 import bench_loop
 import bench_spaces
 import direct_cell
+import numpy as np
+import pinocchio
+from rich.console import Console
+from rich.table import Table
 
 from rn_controller_urdf.ik import InverseKinematics
 from rn_controller_urdf.model import build_arm_model
@@ -42,8 +40,6 @@ from rn_robot_fr3.profile import profile as fr3_profile
 from rn_testing.domain import free_ros_domain
 from rn_testing.waiting import wait_for_line
 from roboneuron.ros.environment import prepare_environment
-
-sys.path.pop(0)
 
 FRAMES, CALLS, TARGETS = 90, 60, 150
 REPEATS = 5

@@ -15,7 +15,7 @@ from typing import Any
 import psutil
 from hang_parts import BOUND_S, ENDED_S, PARENT, TOLD, Hangs, alive, until, words
 
-from rn_standard.simulate.twin_process import COMMAND
+from roboneuron.answering_process import COMMAND
 
 
 def lone_commands(folder: Path) -> dict[str, list[str]]:

@@ -26,14 +26,10 @@ from pathlib import Path
 from typing import Any
 
 import psutil
-
-sys.path.insert(0, str(Path(__file__).parent))
 from hang_arm import Arm
 from hang_lone import lone_trial
 from hang_parts import BOUND_S, CONFIG, HOOK, PROCESSES, TOLD, Hangs
 from lost_cell import KINDS
-
-sys.path.pop(0)
 
 from rn_testing.domain import free_ros_domain
 from roboneuron.hang_watch import END_SIGNAL

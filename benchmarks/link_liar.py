@@ -11,7 +11,6 @@ import contextlib
 import os
 import socket
 import ssl
-import struct
 import sys
 import threading
 import time
@@ -22,13 +21,11 @@ from pathlib import Path
 
 sys.path.append(str(Path(__file__).parents[1] / "plugins" / "rn-backend-shared" / "tests"))
 
-from middle_man import MiddleMan, Recording, tls_record
+from middle_man import MiddleMan, Recording, message_of, plain_frame, tls_record
 
 from rn_link.machine import Machine, read_machine
 from rn_link.tls import tls_context
 
-HEADER = struct.Struct("!4sBBHQQIII")
-ANSWER = 4
 KEPT = 8
 """Number of records of each side of a connection that the man in the middle stores."""
 HELD_S, DRIP_S = 2.0, 0.02
@@ -64,10 +61,11 @@ class Liar:
         """Send an answer, or spoilt data."""
         mode, older = self.mode(), self._answers[0] if self._answers else None
         if mode in ("", *RECORDS):
-            self._answers.append(frame)  # stored from before the fault
+            if "actions" in message_of(frame):
+                self._answers.append(frame)  # stored from before the fault
             robot.sendall(frame)
             return
-        if frame[5] != ANSWER or (older is None and mode.startswith("replayed")):
+        if "actions" not in message_of(frame) or (older is None and mode.startswith("replayed")):
             robot.sendall(frame)
             return
         self.note()
@@ -89,7 +87,7 @@ class Liar:
             time.sleep(HELD_S)
             robot.sendall(frame)
         elif mode == "huge length":
-            robot.sendall(frame[:28] + b"\xff" * 8 + frame[36:])
+            robot.sendall(b"\x82\x7f" + b"\x7f" * 8 + frame[2:])
         elif mode not in ("swallowed", "handshake without a word", "garbage before the handshake"):
             raise ValueError(mode)
 
@@ -105,24 +103,6 @@ def replayed(liar: Liar, recording: Recording, record: bytes, *, asks: bool) -> 
         liar.note()
         return (before[-1], record)
     return (record,)
-
-
-def whole(source: ssl.SSLSocket, count: int) -> bytes:
-    """Read this number of bytes. Raises OSError if the connection closes before."""
-    data = b""
-    while len(data) < count:
-        more = source.recv(count - len(data))
-        if not more:
-            raise ConnectionError("closed")
-        data += more
-    return data
-
-
-def frame_of(source: ssl.SSLSocket) -> bytes:
-    """The next frame."""
-    header = whole(source, HEADER.size)
-    *_, document, arrays = HEADER.unpack(header)
-    return header + whole(source, document + arrays)
 
 
 def serve(raw: socket.socket, liar: Liar, contexts: tuple[ssl.SSLContext, ...], far: str) -> None:
@@ -150,7 +130,7 @@ def serve(raw: socket.socket, liar: Liar, contexts: tuple[ssl.SSLContext, ...], 
         threading.Thread(target=ask, daemon=True).start()
         with contextlib.suppress(OSError):
             while True:
-                liar.pass_on(frame_of(server), robot)
+                liar.pass_on(plain_frame(server), robot)
         for end in (robot, server):
             end.close()
     raw.close()

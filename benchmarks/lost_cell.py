@@ -12,12 +12,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from anyio.from_thread import BlockingPortal, start_blocking_portal
-from mcp import Client, StdioServerParameters
+from anyio.from_thread import BlockingPortal
+from mcp import Client
 from plugin_site import installed
 
 from rn_robot_fr3.limits import ARM_JOINTS
 from rn_robot_fr3.profile import HOME_RAD
+from rn_testing.agent import blocking_client
 from roboneuron.ros.environment import prepare_environment
 
 STILL_RAD_S = 0.02
@@ -156,7 +157,9 @@ class Cell:
 
     def modules(self) -> dict[str, dict[str, Any]]:
         """get_status by module."""
-        return {module["module"]: module for module in self.do("get_status")["modules"]}
+        return {
+            module["module"]: module for module in self.do("get_status", details=True)["modules"]
+        }
 
     def run(self, *kinds: str) -> None:
         """Run these modules; inference without an instruction, or not at all."""
@@ -194,8 +197,6 @@ def served(folder: Path, cell: str) -> Iterator[tuple[Cell, Cell | None]]:
     with contextlib.ExitStack() as stack:
         stack.enter_context(installed(folder, "lost-modules", ("lost_plugin",)))
         prepare_environment(folder / "log")
-        from mcp.client.stdio import stdio_client  # heavy
-
         from roboneuron.ros.link import RosLink  # heavy
 
         if cell == "ros2":
@@ -203,13 +204,9 @@ def served(folder: Path, cell: str) -> Iterator[tuple[Cell, Cell | None]]:
         link = RosLink("witness")
         stack.callback(link.close)
         link.open()
-        command = ["-m", "roboneuron.cli.main", "serve", "--config", str(config)]
-        command += ["--log-level", "warning"]
-        server = StdioServerParameters(command=sys.executable, args=command, env=dict(os.environ))
         log = stack.enter_context((folder / "server.log").open("a"))
-        portal = stack.enter_context(start_blocking_portal())
-        made = Client(stdio_client(server, errlog=log), read_timeout_seconds=180)
-        client = stack.enter_context(portal.wrap_async_context_manager(made))
+        served = blocking_client(config, os.environ, "--log-level", "warning", errors=log)
+        client, portal = stack.enter_context(served)
         if cell == "fleet":
             yield (
                 Cell(client, portal, link, "left", "left"),

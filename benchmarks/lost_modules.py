@@ -20,18 +20,15 @@ import contextlib
 import json
 import os
 import signal
+import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-sys.path.insert(0, str(Path(__file__).parent))
 from lost_cell import KINDS, PLACES, Cell, served
-from rare_faults import loaded
-
-sys.path.pop(0)
 
 ENDS_S = 3.0
 """The frozen state counts after 0.3 s, a silence after `server_timeout_s`; the arm is braked."""
@@ -48,7 +45,20 @@ HELD = {
     "for_s": 1.0,
     "of": {"kind": "gripper_holds", "least_open": 0.15, "most_open": 0.85},
 }
+LOADING = "import time\nwhile True: sum(range(100000))"
 WAYS = ("killed", "frozen", "frozen and resumed")
+
+
+@contextlib.contextmanager
+def loaded(processes: int) -> Iterator[None]:
+    """Run processes that use a whole core each."""
+    busy = [subprocess.Popen([sys.executable, "-S", "-c", LOADING]) for _ in range(processes)]
+    try:
+        yield
+    finally:
+        for process in busy:
+            process.kill()
+            process.wait(10)
 
 
 def run_task(cell: Cell, joint: str) -> Any:

@@ -8,7 +8,6 @@ import contextlib
 import os
 import random
 import signal
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -16,14 +15,15 @@ from concurrent.futures import CancelledError, Future
 from pathlib import Path
 from typing import Any
 
-from anyio.from_thread import BlockingPortal, start_blocking_portal
+from anyio.from_thread import BlockingPortal
 from fci_cell import PYTHON, STRICT
 from joint_witness import Witness
-from mcp import Client, StdioServerParameters
+from mcp import Client
 from plugin_site import installed
 
 from rn_robot_fr3.fci.simulator import FrankaSim
 from rn_standard.ops.maintenance import MaintenanceFile
+from rn_testing.agent import blocking_client
 from roboneuron.estop import ESTOP_FILE, RESET_SUFFIX, EmergencyStopLatch
 from roboneuron.feature import AuditLog, Role
 from roboneuron.ros.environment import prepare_environment
@@ -117,7 +117,9 @@ class Cell:
 
     def modules(self) -> dict[str, dict[str, Any]]:
         """get_status by module."""
-        return {module["module"]: module for module in self.do("get_status")["modules"]}
+        return {
+            module["module"]: module for module in self.do("get_status", details=True)["modules"]
+        }
 
     def later(self, tool: str, **arguments: Any) -> None:
         """Call without waiting."""
@@ -367,19 +369,7 @@ def served_cell(folder: Path, engine: str, restart: str, seed: int) -> Iterator[
             watching.start()
             stack.callback(watching.join)
             stack.callback(end.set)
-        client, portal = stack.enter_context(_client(folder, path))
+        log = stack.enter_context((folder / "server.log").open("a"))
+        agent = blocking_client(path, os.environ, "--log-level", "warning", errors=log)
+        client, portal = stack.enter_context(agent)
         yield Cell(client, portal, witness, link, folder, sim)
-
-
-@contextlib.contextmanager
-def _client(folder: Path, config: Path) -> Iterator[tuple[Client, BlockingPortal]]:
-    """An agent with its own server."""
-    from mcp.client.stdio import stdio_client  # heavy
-
-    command = ["-m", "roboneuron.cli.main", "serve", "--config", str(config)]
-    command += ["--log-level", "warning"]
-    server = StdioServerParameters(command=sys.executable, args=command, env=dict(os.environ))
-    with (folder / "server.log").open("a") as log, start_blocking_portal() as portal:
-        made = Client(stdio_client(server, errlog=log), read_timeout_seconds=180)
-        with portal.wrap_async_context_manager(made) as client:
-            yield client, portal

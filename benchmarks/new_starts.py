@@ -26,7 +26,6 @@ import time
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parent))
 from new_start_cell import (
     BRAKE_S,
     FRANKA_SIM,
@@ -40,8 +39,6 @@ from new_start_cell import (
     start,
     stop,
 )
-
-sys.path.pop(0)
 
 STOPS_A_SEQUENCE = 2
 MOVES_S = 20.0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any, TypeVar
@@ -17,24 +17,31 @@ from rn_testing.waiting import wait_until
 
 
 class PageCell:
-    """A server whose robot, perception and control run.
+    """A server whose modules run.
 
     Args:
         folder: for its configuration and log.
         config: TOML text that enables the view.
         stack: ends the server.
+        modules: those to start.
 
     Attributes:
         url: of the page.
     """
 
-    def __init__(self, folder: Path, config: str, stack: ExitStack) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        config: str,
+        stack: ExitStack,
+        modules: Sequence[str] = ("robot", "perception", "control"),
+    ) -> None:
         path, log = folder / "roboneuron.toml", folder / "log.txt"
         path.write_text(config)
         self._portal = stack.enter_context(start_blocking_portal())
         server = spawned_server(["--config", str(path)], log)
         self._client = stack.enter_context(self._portal.wrap_async_context_manager(server))
-        for module in ("robot", "perception", "control"):
+        for module in modules:
             self.do(f"start_{module}")
         pattern = r"live view is at (http://[\d.]+:\d+)"
         wait_until(lambda: bool(re.search(pattern, log.read_text())), 60.0, poll_s=0.1)

@@ -29,13 +29,9 @@ from pathlib import Path
 from typing import Any
 
 import psutil
-
-sys.path.insert(0, str(Path(__file__).parent))
 from hang_arm import Arm
 from hang_parts import CONFIG, ENDED_S, NEVER, REST_S, Hangs, HungClient, alive, until, whole
 from lost_cell import KINDS, STILL_RAD_S
-
-sys.path.pop(0)
 
 from rn_testing.domain import free_ros_domain
 from roboneuron.ros.environment import prepare_environment

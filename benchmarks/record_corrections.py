@@ -30,11 +30,8 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
-sys.path.insert(0, str(Path(__file__).parent))
 from correcting_person import CorrectingPerson, Truth, policy_holds
 from page_cell import PageCell, served
-
-sys.path.pop(0)
 
 from rn_policy_cubes.checkpoint import BACKEND, configuration, unpack
 from rn_policy_cubes.demonstrations import COLOURS

@@ -70,12 +70,9 @@ BENCHMARKS = (
     Benchmark(script="bench_loop", quick=("--frames", "60", "--rounds", "1")),
     Benchmark(
         script="bench_execution",
-        arguments=("--virtual",),
         quick=("--seeds", "1", "--duration", "5"),
     ),
-    Benchmark(script="bench_execution", quick=("--seconds", "3"), bound_s=3600.0),
     Benchmark(script="bench_start_stop", quick=("--cycles", "2")),
-    Benchmark(script="bench_round_trip", quick=("--calls", "30")),
     Benchmark(
         script="bench_switch",
         quick=("--switches", "2", "--cold", "1", "--rates", "10"),
@@ -93,9 +90,7 @@ BENCHMARKS = (
         quick=("--seeds", "2"),
         bound_s=3600.0,
     ),
-    Benchmark(script="bench_eval", quick=("--episodes", "2")),
     Benchmark(script="bench_interfaces", quick=("--rounds", "3")),
-    Benchmark(script="bench_link", quick=("--seconds", "2", "--delays", "0")),
     Benchmark(script="bench_view", quick=("--seconds", "5")),
     Benchmark(script="bench_lead", quick=("--quick",)),
     Benchmark(script="bench_full_ports", quick=("--trials", "3")),

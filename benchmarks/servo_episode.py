@@ -16,11 +16,11 @@ from rn_backend_servo.plugin import roboneuron_backends
 from rn_controller_urdf.controller import UrdfController
 from rn_robot_fr3.profile import profile as fr3_profile
 from rn_robot_fr3.simulation import JOINTS, STEP_S, ArmSimulation
-from rn_standard.execution.adaptive import AdaptiveExecutor
-from rn_standard.execution.mode import Abilities, Mode
-from rn_standard.inference.execution import Bounds, Prediction
 from roboneuron.contract import Action, ActionChunk, Frame, Hold, JointSample, Observation
 from roboneuron.errors import NotReadyError, RoboNeuronError
+from roboneuron.modules.execution.adaptive import AdaptiveExecutor
+from roboneuron.modules.execution.mode import Abilities, Mode
+from roboneuron.modules.inference.execution import Bounds, Prediction
 
 PERIOD_S = 0.1
 MOST_S = 60.0

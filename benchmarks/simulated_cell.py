@@ -144,7 +144,7 @@ class SimulatedCell:
     def end(self) -> None:
         self._instruction = ""
 
-    def evidence(self) -> tuple[Picture, ...]:
+    def evidence(self, when: str) -> tuple[Picture, ...]:
         return ()
 
 

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import ctypes
+import fcntl
 import heapq
 import os
 import random
 import select
+import struct
 import threading
 import time
 from typing import NamedTuple
 
 MOST_QUEUE_S = 0.5
 _MOST_FRAME = 65_536
+_NEW_NET = 0x40000000
+_SET_INTERFACE = 0x400454CA
+_TAP_WITHOUT_HEADER = 0x1002
 
 
 class Link(NamedTuple):
@@ -75,6 +81,26 @@ class Losses:
 
     def _lasts_s(self) -> float:
         return self._random.expovariate(1 / self._mean_s[self._is_bad])
+
+
+def open_tap(pid: int, device: str) -> int:
+    """Create an Ethernet device in a process's network namespace; returns its other end."""
+    made: list[int] = []
+
+    def enter() -> None:  # on a new thread, because a change of namespace affects only its thread
+        with open(f"/proc/{pid}/ns/net", "rb") as namespace:
+            libc = ctypes.CDLL(None, use_errno=True)
+            if libc.setns(namespace.fileno(), _NEW_NET) != 0:
+                raise OSError(ctypes.get_errno(), "setns")
+        tap = os.open("/dev/net/tun", os.O_RDWR | os.O_NONBLOCK)
+        request = struct.pack("16sH22x", device.encode(), _TAP_WITHOUT_HEADER)
+        fcntl.ioctl(tap, _SET_INTERFACE, request)
+        made.append(tap)
+
+    thread = threading.Thread(target=enter)
+    thread.start()
+    thread.join(5.0)
+    return made[0]
 
 
 class SlowCable:

@@ -24,14 +24,10 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import numpy as np
+from plugin_site import chunks
 from rich.console import Console
 from rich.table import Table
-
-sys.path.insert(0, str(Path(__file__).parent))
-from plugin_site import chunks
 from soak_cell import served_cell, until
-
-sys.path.pop(0)
 
 GROWTH = {"memory_mb": 8.0, "handles": 6.0, "threads": 4.0, "shm_files": 12.0, "shm_mb": 40.0}
 """Largest allowed growth of each quantity after the warm-up, by the fitted line; noise of one

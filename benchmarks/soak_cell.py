@@ -7,17 +7,17 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
-import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import psutil
-from anyio.from_thread import BlockingPortal, start_blocking_portal
+from anyio.from_thread import BlockingPortal
 from fault_loop import PARTS, JointWitness, config_text, environment, fail
-from mcp import Client, StdioServerParameters
+from mcp import Client
 
+from rn_testing.agent import blocking_client
 from roboneuron.ros.environment import prepare_environment
 
 SETTLE_S = 3.0
@@ -41,7 +41,9 @@ class Agent:
 
     def modules(self) -> dict[str, dict[str, Any]]:
         """get_status by module."""
-        return {module["module"]: module for module in self.do("get_status")["modules"]}
+        return {
+            module["module"]: module for module in self.do("get_status", details=True)["modules"]
+        }
 
 
 def until(fact: Callable[[], bool], timeout_s: float, what: str) -> None:
@@ -243,25 +245,11 @@ def served_cell(
         prepare_environment(folder / "log")
         from roboneuron.ros.link import RosLink  # heavy
 
-        command = [
-            "-m",
-            "roboneuron.cli.main",
-            "serve",
-            "--config",
-            str(path),
-            "--log-level",
-            "error",
-        ]
-        server = StdioServerParameters(command=sys.executable, args=command, env=dict(os.environ))
         link = RosLink("witness")
         link.open()
         try:
             witness = JointWitness(link.node, link.on_executor)
-            made = Client(server, read_timeout_seconds=180)
-            with (
-                start_blocking_portal() as portal,
-                portal.wrap_async_context_manager(made) as client,
-            ):
+            with blocking_client(path, os.environ, "--log-level", "error") as (client, portal):
                 agent = Agent(client, portal)
                 yield Cell(agent, witness, folder, psutil.Process(agent.do("get_status")["pid"]))
         finally:

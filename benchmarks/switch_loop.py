@@ -17,15 +17,15 @@ from plugin_site import installed
 from shared_memory import repaired
 from switch_plugin import named_by
 
-from rn_standard.execution.plugin import FEATURE as EXECUTION
-from rn_standard.selection.feature import chosen_forms
-from rn_standard.selection.requests import StartChosenInference
-from rn_standard.switching.plugin import FEATURE as SWITCHING
-from rn_standard.switching.replacing import Switching
 from roboneuron.config import parse_config
+from roboneuron.modules.execution.plugin import FEATURE as EXECUTION
 from roboneuron.plugins.discovery import discover
+from roboneuron.selection.feature import chosen_forms
+from roboneuron.selection.requests import StartChosenInference
 from roboneuron.server.loop import ClosedLoop
 from roboneuron.supervisor.supervisor import Supervisor
+from roboneuron.switching.plugin import FEATURE as SWITCHING
+from roboneuron.switching.replacing import Switching
 
 HERE = Path(__file__).parent
 CONFIG = """

@@ -9,20 +9,19 @@ from __future__ import annotations
 
 import os
 import pty
-import re
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from anyio.from_thread import start_blocking_portal
+from page_cell import PageCell, served
 
-from rn_standard.console.client import spawned_server
 from roboneuron.estop import ESTOP_FILE
 
 CONFIG = """
@@ -60,32 +59,27 @@ class Stop:
     way_rad: float
 
 
-class Cell:
+class Cell(PageCell):
     """The served arm; times are wall-clock times [s]."""
 
-    def __init__(self, portal: Any, client: Any, state: Path, url: str) -> None:
+    def __init__(self, folder: Path, stack: ExitStack) -> None:
         from sensor_msgs.msg import JointState
 
         from roboneuron.ros.link import RosLink  # imported when the environment is prepared
         from roboneuron.ros.qos import NEWEST
 
-        self._portal, self._client, self._state = portal, client, state
-        self.url = url
+        self._state = folder / "state"
+        super().__init__(folder, CONFIG.format(state=self._state), stack, ("robot",))
         self.states: list[tuple[float, float, float]] = []
         """Time of arrival, speed of the fastest joint [rad/s] and position of JOINT [rad]."""
         self.link = RosLink("bench_witness")
         self.link.open()
+        stack.callback(self.link.close)
         self.link.subscribe(JointState, "/fr3/joint_states", self._on_state, NEWEST)
 
     def _on_state(self, message: Any) -> None:
         speed = float(np.abs(message.velocity[:7]).max())
         self.states.append((time.time(), speed, message.position[message.name.index(JOINT)]))
-
-    def do(self, tool: str, **arguments: Any) -> None:
-        """Call a tool; a failure ends the benchmark."""
-        answer = self._portal.call(self._client.call_tool, tool, arguments)
-        if answer.is_error:
-            raise SystemExit(f"{tool} failed: {answer.content}")
 
     def begin_motion(self) -> None:
         """Turn the wrist to the farther place, and return once it is fast."""
@@ -148,30 +142,10 @@ class Cell:
             time.sleep(0.005)
 
 
-@contextmanager
-def served_cell(folder: Path) -> Iterator[Cell]:
-    """Start a server with the live view and the simulated FR3."""
-    state, config, log = folder / "state", folder / "roboneuron.toml", folder / "server.log"
-    config.write_text(CONFIG.format(state=state))
-    with ExitStack() as stack:
-        portal = stack.enter_context(start_blocking_portal())
-        server = spawned_server(["--config", str(config)], log)
-        client = stack.enter_context(portal.wrap_async_context_manager(server))
-        deadline_s = time.monotonic() + MOST_S
-        while not (found := re.findall(r"live view is at (\S+:\d+)", log.read_text())):
-            if time.monotonic() > deadline_s:
-                raise SystemExit(f"The server has no page: {log.read_text()}")
-            time.sleep(0.05)
-        cell = Cell(portal, client, state, found[0])
-        stack.callback(cell.link.close)
-        cell.do("start_robot")
-        yield cell
-
-
 def measure_stops(browser: Any, folder: Path, clicks: int) -> list[Stop]:
     """Click `clicks` times, each while the arm moves."""
     stops = []
-    with served_cell(folder) as cell:
+    with served(folder / "cell", partial(Cell, folder / "cell")) as cell:
         page = browser.new_page(viewport={"width": 700, "height": 500})
         page.set_default_timeout(PAGE_MS)
         page.goto(cell.url)
@@ -189,5 +163,4 @@ def measure_stops(browser: Any, folder: Path, clicks: int) -> list[Stop]:
             page.get_by_text("EMERGENCY STOP LATCHED").wait_for(timeout=PAGE_MS)
             cell.release()
         page.close()
-        cell.do("stop_all")
     return stops

@@ -253,7 +253,7 @@ class Demo:
 
         async def look(robot: str) -> None:
             work = self.works[robot]
-            work.status = await self._agent.call("get_status", {"robot": robot})
+            work.status = await self._agent.call("get_status", {"robot": robot, "details": True})
             if work.begun_s < time.monotonic() and not work.told:
                 work.busy = work.status
             if robot == BASE:

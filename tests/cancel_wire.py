@@ -110,6 +110,10 @@ class WireClient:
         """The last call has an answer."""
         return f'"id":{self.number},' in self.said().replace(" ", "").replace("}", ",")
 
+    def has_succeeded(self) -> bool:
+        """The last call has an answer, which is no error."""
+        return self.has_answered() and '"structuredContent"' in self.said()
+
     def said(self) -> str:
         """What the server has sent for the last call so far, or more."""
         raise NotImplementedError
@@ -210,8 +214,8 @@ class HttpClient(WireClient):
     def said(self) -> str:
         """What the server has sent for the last call so far."""
         assert self._call is not None
-        self._call.setblocking(False)
         with suppress(OSError):  # nothing new, or the connection is closed
+            self._call.setblocking(False)
             self._seen += self._call.recv(65536)
         return self._seen.decode(errors="replace")
 

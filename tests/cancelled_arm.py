@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import threading
 import time
 from collections import deque
@@ -12,19 +11,17 @@ from itertools import cycle
 from pathlib import Path
 from typing import Any
 
-sys.path.insert(0, str(Path(__file__).parent))
 from cancel_wire import LAST_WAYS, TOKENS, HttpClient, StdioClient, Way, served
 
 from rn_testing.domain import free_ros_domain
-from rn_testing.waiting import wait_until
+from rn_testing.waiting import holds_within, wait_until
 from roboneuron.config import default_text
-
-sys.path.pop(0)
 
 WINDOW_S, STILL_RAD, MOVES_RAD = 0.3, 0.003, 0.01
 RESTS_RAD, PUSH_M_S, LEAST_STEP_S = 5e-4, 0.05, 0.02
 LEAST_SAMPLES = 5
-INSTRUCTION = "pick up the red cube"
+CUBE = "red cube"
+INSTRUCTION = f"pick up the {CUBE}"
 NEVER = {"kind": "tcp_in", "lower_m": [9, 9, 9], "upper_m": [10, 10, 10]}
 HELD = {"kind": "held", "for_s": 0.3, "of": {"kind": "gripper_holds"}}
 CONFIG = """
@@ -60,6 +57,8 @@ MOTIONS: dict[str, cycle[tuple[str, dict[str, Any]]]] = {
     "move_ee": cycle(("move_ee", {"dz_m": one, "duration_s": 5}) for one in (-0.1, 0.1)),
     "posture": cycle(("move_to", {"name": one}) for one in ("left", "right")),
     "straight": cycle([("move_to", {"name": "far"})]),
+    "pick": cycle([("pick", {"object": CUBE, "speed": 0.5})]),
+    "push": cycle([("push", {"object": CUBE, "dy_m": 0.05})]),
     "place": cycle([("place", {"dx_m": 0.0, "dy_m": -0.12})]),
     "run_task": cycle([("run_task", {"instruction": INSTRUCTION, "until": NEVER, "max_s": 60})]),
 }
@@ -71,9 +70,15 @@ STARTS: Mapping[str, Mapping[str, Any]] = {
 }
 """Calls that start modules; two of them a policy that moves the arm."""
 SWITCHES = ("switch_perception", "switch_inference", "switch_control")
-OTHERS = ("set_instruction", "lead_arm", "simulate", "start_recording", "play_recording")
+SIMULATED: Mapping[str, tuple[str, Mapping[str, Any]]] = {
+    "sim. joints": ("move_joints", {"positions": {"fr3_joint1": 0.2}, "duration_s": 6}),
+    "sim. sequence": ("publish_joint_trajectory_sequence", {"steps": [point(0.2)]}),
+    "sim. task": ("run_task", {"instruction": INSTRUCTION, "until": NEVER, "max_s": 20}),
+}
+"""Calls that are simulated."""
+OTHERS = ("set_instruction", "lead_arm", *SIMULATED, "start_recording", "play_recording")
 CALLS = (*MOTIONS, *STARTS, *SWITCHES, *OTHERS)
-FROM_HOME = ("move_ee", "posture", "straight")
+FROM_HOME = ("move_ee", "posture", "straight", "pick", "push")
 
 
 class Arm:
@@ -99,7 +104,7 @@ class Arm:
         }
         self._published = 0
         self._pushes, self._releases = threading.Event(), threading.Event()
-        self._seen: deque[tuple[float, list[float]]] = deque(maxlen=200)
+        self._seen: deque[tuple[float, list[float], float]] = deque(maxlen=200)
         self._context = rclpy.Context()
         rclpy.init(context=self._context, domain_id=domain)
         self._node = rclpy.create_node("judge", namespace="fr3", context=self._context)
@@ -113,12 +118,15 @@ class Arm:
         self._thread.start()
         self._stack = ExitStack()
         self._serves = ""
+        self._may_hold = False
         self.files: list[str] = []
         self.steward: Any = None
         self.client: Any = None
 
     def _take(self, message: Any) -> None:
-        self._seen.append((time.monotonic(), list(message.position)))
+        stamp = message.header.stamp
+        measured_s = stamp.sec + stamp.nanosec * 1e-9
+        self._seen.append((time.monotonic(), list(message.position), measured_s))
 
     def _push(self) -> None:
         if self._pushes.is_set() or self._releases.is_set():
@@ -142,6 +150,16 @@ class Arm:
         published = self._published
         wait_until(lambda: self._published > published + 20, 10.0, "the device is heard")
 
+    def push_until_it_moves(self) -> None:
+        """A person pushes the device, and lets go and pushes again if nothing moves: after a stall
+        of the machine for 0.1 s the lead asks for a release before the arm follows.
+        """
+        for _ in range(16):
+            self.release()
+            self.push(True)
+            if holds_within(self.moves, 2.0):
+                return
+
     def _travel(self) -> float | None:
         """Largest change of a joint within a window that ends now, or with the last measurement of
         a robot that has ended [rad or m]; None without measurements that fill it.
@@ -153,7 +171,7 @@ class Arm:
         inside = [one for one in seen if one[0] >= end_s - WINDOW_S]
         if len(inside) < LEAST_SAMPLES or inside[-1][0] - inside[0][0] < WINDOW_S / 2:
             return None
-        joints = zip(*(positions for _, positions in inside), strict=True)
+        joints = zip(*(positions for _, positions, _ in inside), strict=True)
         return max(float(max(one) - min(one)) for one in joints)
 
     def rests(self) -> bool:
@@ -166,16 +184,19 @@ class Arm:
         return (self._travel() or 0.0) > MOVES_RAD
 
     def fastest_rad_s(self) -> float:
-        """Highest speed of a joint of the arm between successive measurements that are kept, of
-        which the times are of their arrival: at least 20 ms apart [rad/s].
+        """Highest speed of a joint of the arm between successive measurements that are kept, by
+        their stamps: at least 20 ms apart [rad/s].
+
+        A process that had to wait receives what was measured meanwhile at once.
         """
         seen, fastest = tuple(self._seen), 0.0
-        before = seen[0]
-        for at_s, positions in seen[1:]:
-            if at_s - before[0] < LEAST_STEP_S:
+        _, before, before_s = seen[0]
+        for _, positions, at_s in seen[1:]:
+            if at_s - before_s < LEAST_STEP_S:
                 continue
-            moved = max(abs(a - b) for a, b in zip(positions[:7], before[1][:7], strict=True))
-            fastest, before = max(fastest, moved / (at_s - before[0])), (at_s, positions)
+            moved = max(abs(a - b) for a, b in zip(positions[:7], before[:7], strict=True))
+            fastest = max(fastest, moved / (at_s - before_s))
+            before, before_s = positions, at_s
         return fastest
 
     def rested_after_s(self, since_s: float) -> float:
@@ -184,7 +205,7 @@ class Arm:
         rest = seen[-1][1]
         moved = [
             at_s - since_s
-            for at_s, positions in seen
+            for at_s, positions, _ in seen
             if max(abs(one - there) for one, there in zip(positions, rest, strict=True)) > RESTS_RAD
         ]
         return max(0.0, *moved)
@@ -209,17 +230,22 @@ class Arm:
             else:
                 self.steward = self.client = StdioClient(process, version)
             self._serves = wanted
-        for kind in ARM:
-            if self.phase(kind) == "stopped":
-                self.steward.call(f"start_{kind}", {})
+        self._start()
         client = self.client if transport == "stdio" else HttpClient(self._url, version)
+        if transport == "http":
+            self._stack.callback(client.leave_call)
         if way in LAST_WAYS and transport == "stdio":
             self._serves = ""  # the server ends with its client
         return client
 
+    def _start(self) -> None:
+        for kind in ARM:
+            if self.phase(kind) == "stopped":
+                self.steward.call(f"start_{kind}", {})
+
     def module(self, kind: str) -> dict[str, Any]:
         """Status of a module."""
-        modules = self.steward.call("get_status", {})["modules"]
+        modules = self.steward.call("get_status", {"details": True})["modules"]
         return dict(next(one for one in modules if one["module"] == kind))
 
     def phase(self, kind: str) -> str:
@@ -240,6 +266,11 @@ class Arm:
         is_running = self.phase("inference") != "stopped"
         if is_running and call != "run_task":
             self.steward.call("stop_inference", {})
+        if call in ("pick", "push") and self._may_hold:
+            self.steward.call("stop_all", {})  # the cubes of a new simulation lie on the table
+            self._start()
+            self._may_hold = False
+        self._may_hold = self._may_hold or call in ("place", "run_task")
         if call in FROM_HOME:
             self.steward.call("move_to", {"name": "home"})
         elif call == "place":

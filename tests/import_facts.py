@@ -11,7 +11,7 @@ CORE = ROOT / "roboneuron-core" / "src" / "roboneuron"
 PLUGINS = ROOT / "plugins"
 STANDARD = PLUGINS / "rn-standard" / "src" / "rn_standard"
 """Packages that are each a plugin, in one distribution."""
-SENDING_PACKAGE = STANDARD / "direct_path"
+SENDING_PACKAGE = CORE / "direct_path"
 """The package that sends for agents."""
 
 

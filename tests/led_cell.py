@@ -72,7 +72,9 @@ class Cell:
 
     def module(self, kind: str) -> dict[str, Any]:
         """Status of a module."""
-        found = [one for one in self.call("get_status")["modules"] if one["module"] == kind]
+        found = [
+            one for one in self.call("get_status", details=True)["modules"] if one["module"] == kind
+        ]
         return dict(found[0])
 
     def speed_m_s(self, since_s: float) -> float:

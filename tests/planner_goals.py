@@ -10,13 +10,13 @@ import numpy as np
 from rn_controller_urdf.controller import UrdfController
 from rn_robot_fr3.limits import ARM_JOINTS
 from rn_robot_fr3.profile import HOME_RAD, profile
-from rn_standard.direct_path.path_limits import PathLimiter
 from roboneuron import (
     Endpoint,
     JointSample,
 )
 from roboneuron.config import LimitsConfig
 from roboneuron.feature import motion_rules
+from roboneuron.gate.motion.path_limits import PathLimiter
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 MOVE, EXECUTE = "moveit_msgs/action/MoveGroup", "moveit_msgs/action/ExecuteTrajectory"

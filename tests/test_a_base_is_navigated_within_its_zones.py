@@ -139,6 +139,7 @@ def test_a_base_drives_to_a_goal_and_into_no_zone(bench: Bench) -> None:
     anyio.run(scenario)
 
 
+@pytest.mark.exhaustive
 def test_goals_that_end_otherwise_leave_a_base_at_rest(bench: Bench) -> None:
     bench.navigator("--blocked", "2", "1", "3", "2", "--patience", "0.5")
 

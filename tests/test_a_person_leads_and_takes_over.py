@@ -4,7 +4,6 @@ gets disconnected.
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack
@@ -12,14 +11,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "plugins" / "rn-view" / "tests"))
-sys.path.insert(0, str(Path(__file__).parent))
 from lead_client import LeadPage
 from led_cell import INSTRUCTION, STILL, Cell
-
-sys.path.pop(0)
-sys.path.pop(0)
 
 from rn_testing.waiting import wait_until
 

@@ -4,7 +4,6 @@ processes; judged by the TCP.
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,21 +13,17 @@ from pathlib import Path
 from typing import Any
 
 import anyio
+import fci_cell
 import numpy as np
 import pinocchio
 import pytest
-from mcp import Client
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
-import fci_cell
 from fci_plugin import PATH_HZ, PATH_ROWS, path_rad
+from mcp import Client
 from plugin_site import installed
-
-sys.path.pop(0)
 
 from rn_robot_fr3.profile import profile
 from rn_simulation.engine import ENGINES
-from rn_standard.tools_arm.plugin import LIMITS
+from rn_testing.agent import Agent
 from rn_testing.fakes import fake_plan
 from rn_testing.spinning import spinning_node
 from rn_testing.waiting import wait_until
@@ -37,6 +32,7 @@ from roboneuron.plugins.availability import is_importable
 from roboneuron.ros.environment import prepare_environment
 from roboneuron.server.app import Application
 from roboneuron.supervisor.supervisor import Supervisor
+from roboneuron.tools.arm.plugin import LIMITS
 
 F64 = np.ndarray
 BESIDE_M = 5e-3
@@ -173,11 +169,7 @@ def test_it_replaces_a_policy_of_tcp_deltas_while_the_arm_moves(tmp_path: Path) 
 
     async def scenario(application: Application, seen: Witness) -> None:
         async with Client(application.server) as client:
-
-            async def do(name: str, **arguments: Any) -> dict[str, Any]:
-                result = await client.call_tool(name, arguments)
-                assert not result.is_error, result.content
-                return dict(result.structured_content or {})
+            do = Agent(client).do
 
             for kind in ("robot", "perception", "control"):
                 await do(f"start_{kind}")

@@ -147,6 +147,7 @@ def test_a_server_token_is_not_in_the_environment_of_modules(
     assert listener.received == []
 
 
+@pytest.mark.exhaustive
 def test_an_admin_may_set_what_the_configuration_lists(
     environment: dict[str, str], tmp_path: Path, listener: Listener
 ) -> None:

@@ -6,23 +6,17 @@ from __future__ import annotations
 
 import os
 import signal
-import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import psutil
 import pytest
-
-from rn_standard.tools_loop.results import ModuleStatus
-from roboneuron.server.loop import ClosedLoop
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 from fault_loop import JointWitness, moving_cell
 
 from rn_testing.waiting import wait_until
-
-sys.path.pop(0)
+from roboneuron.server.loop import ClosedLoop
+from roboneuron.tools.loop.results import ModuleStatus
 
 pytestmark = [pytest.mark.ros, pytest.mark.timing, pytest.mark.timeout(120)]
 RATE_HZ = 20.0

@@ -216,23 +216,38 @@ def test_an_arm_goes_where_it_may_by_goals_and_by_plans(cell: Cell) -> None:
     anyio.run(scenario)
 
 
+async def ended(agent: Any, wanted: Any, **options: float) -> tuple[bool, str]:
+    """Whether a motion succeeded, and its text; one that a stall of a busy machine has ended is
+    asked for again.
+    """
+    for _ in range(4):
+        succeeded, _, text = await agent.move(wanted, **options)
+        if not any(
+            word in text for word in ("was frozen", "not measured any more", "sign of life")
+        ):
+            break
+    return succeeded, text
+
+
 def test_an_arm_stops_where_it_may_not_be_and_when_it_is_told_to(cell: Cell) -> None:
     async def scenario() -> None:
         async with cell.agent() as agent:
-            # on the other side of the zone, which the planner does not know
-            succeeded, _, text = await agent.move(goal(joints(fr3_joint1=0.74), speed=0.1))
+            # on the other side of the zone, which the planner does not know: the robot module
+            # refuses its way, and the planner's controller sees no motion
+            before = await agent.turn()
+            succeeded, text = await ended(agent, goal(joints(fr3_joint1=0.74), speed=0.1))
             assert not succeeded
-            assert "has left its limits" in text
-            assert "cup" in text
-            assert 0.2 < await agent.turn() < 0.6, "it went on through the zone"
-            succeeded, _, text = await agent.move(goal(joints(), speed=0.1), timeout_s=1.0)
+            assert "The controller is too slow" in text or "TIMED_OUT" in text
+            assert await agent.turn() == pytest.approx(before, abs=0.01), "it moved to the zone"
+            away = goal(joints(fr3_joint1=-0.6), speed=0.1)
+            succeeded, text = await ended(agent, away, timeout_s=1.0)
             assert not succeeded
             assert "did not end within 1 s" in text
-            assert await agent.rest() > 0.01, "it went on to its goal"
+            assert await agent.rest() > -0.5, "it went on to its goal"
             answers: list[tuple[bool, dict[str, Any], str]] = []
 
             async def go() -> None:
-                answers.append(await agent.move(goal(joints(fr3_joint1=-0.6), speed=0.1)))
+                answers.append(await agent.move(away))
 
             agent.told.clear()
             async with anyio.create_task_group() as group:

@@ -6,19 +6,13 @@ Judged by its measured joints, by the truth of the simulation.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parent))
 from cancelled_arm import INSTRUCTION, Arm
 
 from rn_testing.waiting import wait_until
 from roboneuron.ros.environment import prepare_environment
-
-sys.path.pop(0)
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(180)]
 JUMP_RAD_S = 2.0

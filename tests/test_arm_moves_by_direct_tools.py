@@ -4,13 +4,13 @@ refusals.
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Any
 
 import anyio
 import pytest
-from mcp import Client, StdioServerParameters
+
+from rn_testing.agent import Agent, client_of
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow, pytest.mark.timeout(300)]
 CONFIG = """
@@ -41,25 +41,10 @@ REACHED_M = 0.004
 def test_joints_trajectory_and_end_effector(tmp_path: Path, environment: dict[str, str]) -> None:
     config = tmp_path / "roboneuron.toml"
     config.write_text(CONFIG.format(state=tmp_path / "state"))
-    command = [
-        "-m",
-        "roboneuron.cli.main",
-        "serve",
-        "--config",
-        str(config),
-        "--log-level",
-        "error",
-    ]
 
     async def scenario() -> None:
-        server = StdioServerParameters(command=sys.executable, args=command, env=environment)
-        async with Client(server) as client:
-
-            async def do(tool: str, **arguments: Any) -> dict[str, Any]:
-                answer = await client.call_tool(tool, arguments)
-                assert not answer.is_error, answer.content
-                result: dict[str, Any] = answer.structured_content
-                return result
+        async with client_of(config, environment, "--log-level", "error") as client:
+            do = Agent(client).do
 
             async def fail(tool: str, **arguments: Any) -> str:
                 answer = await client.call_tool(tool, arguments)
@@ -110,7 +95,7 @@ def test_joints_trajectory_and_end_effector(tmp_path: Path, environment: dict[st
             )
             free = await do("move_ee", dx_m=0.03, dz_m=0.05, simulate=True)
             assert free["allowed"], free
-            assert free["sent"] == 0
+            assert free["simulated"]
 
             point = {"positions": [0.0], "time_from_start": 1.5}
             sent = await do(
@@ -148,6 +133,7 @@ def test_joints_trajectory_and_end_effector(tmp_path: Path, environment: dict[st
                 assert "The policy 'servo' moves 'fr3'" in text
             await do("stop_motion")
             await do("stop_inference")
+            await do("move_to", name="home")  # the policy was stopped anywhere
 
             stopped: list[str] = []
 

@@ -4,7 +4,6 @@ arms come to rest, and the next instruction moves them again. Errors of wrong ca
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -12,9 +11,6 @@ from typing import Any
 
 import anyio
 import pytest
-
-sys.path.append(str(Path(__file__).parent))
-
 from pair_agent import PATIENCE_S, STILL_RAD, configured, moved_rad, positions
 
 from rn_standard.console.client import spawned_server

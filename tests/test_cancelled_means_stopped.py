@@ -2,12 +2,11 @@
 
 A base is judged by what its wheels are told, a goal by its action server, an arm by its measured
 joints. A way that cancels nothing is answered so, or is no cancellation in its protocol; then the
-motion goes on, and the row says why.
+motion goes on, and the row says why. A service that was called cannot be recalled.
 """
 
 from __future__ import annotations
 
-import sys
 import threading
 from collections.abc import Iterator
 from contextlib import ExitStack
@@ -16,9 +15,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from mcp_types.version import KNOWN_PROTOCOL_VERSIONS
-
-sys.path.insert(0, str(Path(__file__).parent))
 from cancel_table import Table, printed
 from cancel_wire import (
     HTTP_WAYS,
@@ -28,15 +24,16 @@ from cancel_wire import (
     HttpClient,
     StdioClient,
     Way,
+    answered,
     check_cell,
     served,
 )
+from mcp_types.version import KNOWN_PROTOCOL_VERSIONS
 
 from rn_testing.domain import free_ros_domain
 from rn_testing.fakes.wheels import CommandedWheels
+from rn_testing.waiting import holds_within, wait_until
 from roboneuron.ros.environment import prepare_environment
-
-sys.path.pop(0)
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(150)]
 NEWEST = "2026-07-28"
@@ -59,6 +56,11 @@ kind = "action"
 topic = "count"
 type = "test_msgs/action/Fibonacci"
 bounds = {{ "order" = [0, 1000] }}
+[[expose]]
+name = "hold"
+kind = "service"
+topic = "hold"
+type = "std_srvs/srv/Trigger"
 """
 FORWARD = {"linear": {"x": 0.3}}
 CALLS: dict[str, tuple[str, dict[str, Any]]] = {
@@ -68,20 +70,28 @@ CALLS: dict[str, tuple[str, dict[str, Any]]] = {
         {"steps": [{"message": FORWARD, "duration_s": 5.0}], "times": 4},
     ),
     "goal": ("send_count_goal", {"goal": {"order": 1000}, "timeout_s": 60}),
+    "service": ("call_hold", {"request": {}, "timeout_s": 60}),
 }
 
 
 class CountingServer:
-    """An action server that counts until it is cancelled."""
+    """An action server that counts until it is cancelled, and a service that ends when it may.
+
+    Attributes:
+        running: goals that are being carried out.
+        holding: calls of the service that have not ended.
+    """
 
     def __init__(self, domain: int) -> None:
         import rclpy
         from rclpy.action import ActionServer, CancelResponse
         from rclpy.callback_groups import ReentrantCallbackGroup
         from rclpy.executors import MultiThreadedExecutor
+        from std_srvs.srv import Trigger
         from test_msgs.action import Fibonacci
 
-        self.running = 0
+        self.running = self.holding = 0
+        self._may_end = threading.Semaphore(0)
         self._context = rclpy.Context()
         rclpy.init(context=self._context, domain_id=domain)
         self._node = rclpy.create_node("counts", namespace="diffdrive", context=self._context)
@@ -92,6 +102,9 @@ class CountingServer:
             self._carry_out,
             callback_group=ReentrantCallbackGroup(),
             cancel_callback=lambda goal: CancelResponse.ACCEPT,
+        )
+        self._node.create_service(
+            Trigger, "hold", self._hold, callback_group=ReentrantCallbackGroup()
         )
         self._executor = MultiThreadedExecutor(3, context=self._context)
         self._executor.add_node(self._node)
@@ -108,6 +121,16 @@ class CountingServer:
         self.running -= 1
         goal.canceled() if goal.is_cancel_requested else goal.abort()
         return Fibonacci.Result()
+
+    def _hold(self, request: Any, response: Any) -> Any:
+        self.holding += 1
+        self._may_end.acquire(timeout=60.0)
+        self.holding -= 1
+        return response
+
+    def let_end(self) -> None:
+        """Let a call of the service end."""
+        self._may_end.release()
 
     def close(self) -> None:
         self._end.set()
@@ -208,4 +231,23 @@ def test_a_base_rests_after_its_call_is_cancelled(
 
     with table.cell(transport, version, way, call) as tell:
         client = base.client(transport, version, way)
+        if call == "service":
+            tell(check_service(base.counting, client, way))
+            return
         tell(check_cell(client, way, CALLS[call], moves, lambda: not moves(), REST_S))
+
+
+def check_service(server: CountingServer, client: HttpClient | StdioClient, way: Way) -> str:
+    """A service cannot be recalled: its call ends, and it goes on."""
+    tool, arguments = CALLS["service"]
+    try:
+        client.begin(tool, arguments)
+        wait_until(lambda: server.holding > 0, 60.0, "the service is called")
+        assert client.cancel(way) == answered(client.transport, client.version, way)
+        assert not holds_within(lambda: server.holding == 0, 0.3)
+        assert not client.has_succeeded()
+    finally:
+        server.let_end()
+        client.leave_call()
+    wait_until(lambda: server.holding == 0, 60.0, "the service ends")
+    return "not recalled"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -11,11 +10,8 @@ import pytest
 
 pytest.importorskip("torch")
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 import record_corrections
 from record_corrections import BROKEN, CORRECTED, FAILED, Ledger, why_it_fails
-
-sys.path.pop(0)
 
 from rn_policy_cubes.demonstrations import COLOURS, ROW
 

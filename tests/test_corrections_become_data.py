@@ -2,21 +2,14 @@
 
 from __future__ import annotations
 
-import sys
 from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "plugins" / "rn-view" / "tests"))
-sys.path.insert(0, str(Path(__file__).parent))
 from lead_client import LeadPage
 from led_cell import INSTRUCTION, STILL, Cell
-
-sys.path.pop(0)
-sys.path.pop(0)
 
 from rn_recorder_runs.acted import WHO, composed
 from rn_recorder_runs.lerobot import export

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from rn_standard.simulate.twin_process import COMMAND
 from rn_testing.waiting import wait_until
+from roboneuron.answering_process import COMMAND
 from roboneuron.hang_watch import END_SIGNAL
 
 pytestmark = pytest.mark.timeout(120)
@@ -22,13 +22,13 @@ PROGRAM = ["-m", "roboneuron.cli.main"]
 COMMANDS = {
     "module": ["-m", "roboneuron.modules"],
     "recorder": ["-m", "rn_recorder_runs.node"],
-    "twin": [*COMMAND[1:], "DESCRIPTOR"],
+    "answering": [*COMMAND[1:], "DESCRIPTOR"],
     "server": [*PROGRAM, "serve", "--config", "CONFIG"],
     "view": [*PROGRAM, "view", "--config", "CONFIG", "--port", "0"],
     "policy model": ["-m", "rn_backend_shared.server_process", "--stay", "SOCKET"],
     "policy front": [*PROGRAM, "serve-policy", "--config", "POLICIES"],
 }
-DEFAULT = ("module", "recorder", "twin", "server")
+DEFAULT = ("module", "recorder", "answering", "server")
 
 
 def is_watched(pid: int) -> bool:

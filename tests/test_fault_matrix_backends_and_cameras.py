@@ -6,29 +6,23 @@ from __future__ import annotations
 
 import os
 import signal
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 
 import pytest
+from fault_loop import PARTS, JointWitness, fail, moving_cell
 
 from rn_standard.fastdds.segments import PORT_PREFIX, SHARED_MEMORY, owned_segments
 from rn_standard.ops.memory import MemoryWatch
 from rn_standard.ops.options import MemoryOptions
-from rn_standard.selection.requests import StartChosenInference
-from rn_standard.tools_loop.instructing import give_instruction
-from rn_standard.tools_loop.results import ModuleStatus
+from rn_testing.waiting import wait_until
+from roboneuron.selection.requests import StartChosenInference
 from roboneuron.server.loop import ClosedLoop
 from roboneuron.supervisor.health import Watch
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
-from fault_loop import PARTS, JointWitness, fail, moving_cell
-
-from rn_testing.waiting import wait_until
-
-sys.path.pop(0)
+from roboneuron.tools.loop.instructing import give_instruction
+from roboneuron.tools.loop.results import ModuleStatus
 
 pytestmark = [pytest.mark.ros, pytest.mark.timing, pytest.mark.timeout(150)]
 MEMORY_LIMIT_MB = 400

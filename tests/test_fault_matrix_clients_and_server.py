@@ -21,18 +21,11 @@ from typing import Any
 
 import anyio
 import pytest
-
-from roboneuron.ros.environment import prepare_environment
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
-sys.path.insert(0, str(Path(__file__).parent))
 from fault_loop import JointWitness, config_text, environment
 from served_cell import LEASE_S, SERVER, SERVER_TIMEOUT_S, Cell
 
 from rn_testing.waiting import wait_until
-
-sys.path.pop(0)
-sys.path.pop(0)
+from roboneuron.ros.environment import prepare_environment
 
 pytestmark = [pytest.mark.ros, pytest.mark.timing, pytest.mark.timeout(150)]
 VANISHING = """
@@ -226,7 +219,7 @@ def test_a_server_that_is_frozen_makes_the_arm_stand_until_somebody_asks_for_mot
     time.sleep(1.0)  # to show that nothing happens
     assert cell.witness.stands(), "a server that lives again starts nothing"
     wait_until(lambda: "sign of life" in str(cell.ann.do("get_status")), 3.0, "the status says why")
-    # A module may report the silence only now: "There was a stop meanwhile. Ask again."
+    # A module may report the silence only now: "Motion was forbidden meanwhile. Ask again."
     wait_until(
         lambda: not cell.ann.answer("set_instruction", instruction="swing").is_error,
         5.0,

@@ -5,23 +5,16 @@ one another.
 from __future__ import annotations
 
 import itertools
-import sys
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 
 import psutil
 import pytest
-
-from rn_standard.selection.requests import StartChosenInference
-from roboneuron.server.loop import ClosedLoop
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 from fault_loop import JointWitness, standing_loop
 
 from rn_testing.waiting import wait_until
-
-sys.path.pop(0)
+from roboneuron.selection.requests import StartChosenInference
+from roboneuron.server.loop import ClosedLoop
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(120)]
 KINDS = ("robot", "perception", "control", "inference")

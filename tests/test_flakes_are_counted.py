@@ -59,6 +59,7 @@ def rows(project: Path) -> list[dict[str, Any]]:
     return [json.loads(line) for line in ledger.read_text().splitlines()]
 
 
+@pytest.mark.exhaustive
 def test_a_test_that_fails_sometimes_is_counted_by_condition(project: Path) -> None:
     write(project, waiting=WAITING, quiet=QUIET)
     code, said = flakes(project, "--alone", "2", "--others", "1", "--busy", "0,1")
@@ -76,6 +77,7 @@ def test_a_test_that_fails_sometimes_is_counted_by_condition(project: Path) -> N
     assert "1 x AssertionError: even" in said
 
 
+@pytest.mark.exhaustive
 def test_it_goes_on_where_it_was(project: Path) -> None:
     write(project, waiting=WAITING)
     assert flakes(project, "--alone", "1", "--busy", "0")[0] == 0

@@ -23,10 +23,12 @@ OPTION = "typed by the person who starts the command"
 TWIN = "a simulated control box of the tests on this machine, which we have started"
 TRUSTED = {
     "roboneuron-core/src/roboneuron/foreign.py": "the decoder",
+    "roboneuron-core/src/roboneuron/answering_process.py": OWN_PARENT,
     "roboneuron-core/src/roboneuron/modules/module.py": OWN_PARENT,
     "roboneuron-core/src/roboneuron/server/schema.py": MCP,
     "roboneuron-core/src/roboneuron/gate/audit.py": "text that the line above has encoded",
     "roboneuron-core/src/roboneuron/plugins/loading.py": "values of the configuration",
+    "roboneuron-core/src/roboneuron/plugins/availability.py": "what pip wrote of this installation",
     "rn-backend-lerobot/src/rn_backend_lerobot/tensor_file.py": CHECKPOINT,
     "rn-backend-lerobot/src/rn_backend_lerobot/loading.py": CHECKPOINT,
     "rn-backend-pi0/src/rn_backend_pi0/tensor_names.py": CHECKPOINT,
@@ -44,12 +46,12 @@ TRUSTED = {
     "rn-standard/src/rn_standard/doctor/installations.py": OWN_PROGRAM,
     "rn-standard/src/rn_standard/http/sessions.py": MCP,
     "rn-standard/src/rn_standard/http/middleware.py": MCP,
-    "rn-standard/src/rn_standard/stdio/envelope.py": MCP,
-    "rn-standard/src/rn_standard/direct_path/exposed.py": "checked when the configuration is read",
+    "roboneuron-core/src/roboneuron/stdio/envelope.py": MCP,
+    "roboneuron-core/src/roboneuron/direct_path/exposed.py": "checked when it is read",
     "rn-standard/src/rn_standard/console/plugin_options.py": OPTION,
     "rn-runtime-sglang/src/rn_runtime_sglang/process.py": OWN_PROGRAM,
     "rn-runtime-sglang/src/rn_runtime_sglang/standin/server.py": "a stand-in for tests",
-    "rn-backend-openpi/src/rn_backend_openpi/wire.py": "msgpack; `foreign.check_value` follows",
+    "rn-backend-shared/src/rn_backend_shared/wire.py": "msgpack; `foreign.check_value` follows",
     "rn-eval/src/rn_eval/wire.py": "msgpack; `foreign.check_value` follows",
     "rn-backend-shared/src/rn_backend_shared/server_process.py": OWN_PARENT,
     "rn-recorder/src/rn_recorder_runs/lerobot_writer.py": OWN_PARENT,
@@ -69,7 +71,6 @@ TRUSTED = {
     "rn-robot-fr3/src/rn_robot_fr3/fci/control_process.py": OWN_PARENT,
     "rn-robot-fr3/src/rn_robot_fr3/fci/counterpart.py": TWIN,
     "rn-robot-fr3/src/rn_robot_fr3/fci/scene.py": TWIN,
-    "rn-robot-fr3/src/rn_robot_fr3/fci/box/proxy.py": TWIN,
 }
 """Files that decode by themselves, by the reason."""
 

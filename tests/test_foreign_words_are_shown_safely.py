@@ -27,7 +27,6 @@ from rn_recorder_runs.store import RunStore
 from rn_standard.console.plugins_list import print_short, print_table
 from rn_standard.console.plugins_show import show
 from rn_standard.console.status import ReportedModule, ServerStatus
-from rn_standard.limits.command import Limits
 from rn_standard.ops.maintenance import MaintenanceFile
 from rn_standard.ops.maintenance_command import Maintenance
 from rn_standard.tasks.approval import Approval
@@ -44,6 +43,7 @@ from roboneuron.gate import AuditLog
 from roboneuron.log_files import PlainFormatter, printable, quoted
 from roboneuron.modules.report import Report
 from roboneuron.plugins.registry import PluginRecord, Registry, Status
+from roboneuron.tools.arm.limits_command import Limits
 
 HOSTILE = {
     "escape": "\x1b[2J\x1b[31mall is well",

@@ -3,36 +3,11 @@
 from __future__ import annotations
 
 import copy
-import sys
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-
-from rn_robot_fr3.limits import ARM_JOINTS
-from rn_robot_fr3.profile import HOME_RAD, profile
-from rn_standard.direct_path.fields import filled, load_type
-from rn_standard.direct_path.gate import Gate
-from rn_standard.direct_path.joints import joint_commands
-from rn_standard.direct_path.path_limits import PathLimiter
-from rn_standard.direct_path.places import FindTransform
-from rn_standard.direct_path.plans import check_plan_frame
-from rn_standard.direct_path.request import AllowedEndpoint
-from rn_standard.direct_path.transforms import Transform
-from rn_standard.direct_path.way_watch import watch_of
-from roboneuron import (
-    ConfigurationError,
-    JointSample,
-    NotReadyError,
-    Obstacle,
-    RefusedError,
-)
-from roboneuron.config import LimitsConfig
-from roboneuron.feature import GateRequest, motion_rules
-
-sys.path.insert(0, str(Path(__file__).parent))
 from planner_goals import (
     BASE,
     EXECUTE,
@@ -47,7 +22,25 @@ from planner_goals import (
     trajectory,
 )
 
-sys.path.pop(0)
+from rn_robot_fr3.limits import ARM_JOINTS
+from rn_robot_fr3.profile import HOME_RAD, profile
+from roboneuron import (
+    ConfigurationError,
+    JointSample,
+    NotReadyError,
+    Obstacle,
+    RefusedError,
+)
+from roboneuron.config import LimitsConfig
+from roboneuron.direct_path.fields import filled, load_type
+from roboneuron.direct_path.gate import Gate
+from roboneuron.direct_path.joint_messages import joint_commands
+from roboneuron.direct_path.places import FindTransform
+from roboneuron.direct_path.plans import check_plan_frame, watch_of
+from roboneuron.direct_path.request import AllowedEndpoint
+from roboneuron.direct_path.transforms import Transform
+from roboneuron.feature import GateRequest, motion_rules
+from roboneuron.gate.motion.path_limits import PathLimiter
 
 pytest_plugins = ["rn_testing.gate_fixtures"]
 pytestmark = pytest.mark.usefixtures("learnt_types")

@@ -4,9 +4,11 @@ packages is correct.
 
 from __future__ import annotations
 
+import os
 import re
 import runpy
 import subprocess
+import sys
 import tomllib
 from pathlib import Path
 
@@ -140,6 +142,57 @@ def installs() -> list[tuple[str, str]]:
         for line in re.findall(r"pip install[^\n;]*", (ROOT / page).read_text(encoding="utf-8")):
             found.append((page, line))
     return found
+
+
+INSTALLED = """
+from roboneuron import Requirement, install_command
+from roboneuron.plugins.availability import explain
+own = Requirement(module="absent_a", install="pip install './plugins/rn-recorder[export]'")
+other = Requirement(module="absent_b", install="pip install mujoco")
+print(install_command(), install_command("rn-eval"), explain([own, other]), sep="\\n")
+"""
+FOLDER, WHEELS, ANYWHERE = "./plugins/rn-eval", "--find-links", "WHEELS"
+
+
+@pytest.mark.parametrize(
+    ("origin", "expected"),
+    [
+        ('{"url": "file:///src/roboneuron-core", "dir_info": {"editable": true}}', FOLDER),
+        ('{"url": "file:///src/roboneuron-core", "dir_info": {}}', FOLDER),
+        (
+            '{"url": "file://HERE/roboneuron_core-0.1.0-py3-none-any.whl", "archive_info": {}}',
+            WHEELS,
+        ),
+        ('{"url": "file:///gone/roboneuron_core-0.1.0-py3-none-any.whl"}', ANYWHERE),
+        ("", ANYWHERE),
+    ],
+    ids=["editable", "folder", "wheel", "wheel that is gone", "found by pip"],
+)
+def test_commands_fit_the_way_of_this_installation(
+    origin: str, expected: str, tmp_path: Path
+) -> None:
+    about = tmp_path / "site" / "roboneuron_core-0.1.0.dist-info"
+    about.mkdir(parents=True)
+    (about / "METADATA").write_text(
+        "Metadata-Version: 2.1\nName: roboneuron-core\nVersion: 0.1.0\n"
+    )
+    if origin:
+        (about / "direct_url.json").write_text(origin.replace("HERE", str(tmp_path)))
+    done = subprocess.run(
+        [sys.executable, "-c", INSTALLED],
+        env={**os.environ, "PYTHONPATH": str(about.parent)},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    whole, one, absent = done.stdout.splitlines()
+    assert expected in one
+    assert "rn-recorder[export]" in absent
+    assert absent.endswith("; pip install mujoco")
+    for command in (whole, one, absent):
+        assert ("source folder" in command or "./plugins" in command) is (expected == FOLDER)
+        assert (WHEELS in command) is (expected != FOLDER)
+        assert (str(tmp_path) in command) is (expected == WHEELS)
 
 
 def test_no_hint_takes_a_package_of_the_project_from_an_index() -> None:

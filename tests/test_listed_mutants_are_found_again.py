@@ -2,13 +2,7 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "tools"))
 from mutation_identity import describe_change
-
-sys.path.pop(0)
 
 WIDE = """\
 def stop(names, timeout_s):

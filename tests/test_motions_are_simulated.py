@@ -11,8 +11,8 @@ from typing import Any
 import anyio
 import numpy as np
 import pytest
-from mcp import Client, StdioServerParameters
 
+from rn_testing.agent import Agent, client_of
 from rn_testing.waiting import wait_until
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow, pytest.mark.timeout(300)]
@@ -81,20 +81,13 @@ def test_simulated_calls_publish_nothing_and_come_true(
 ) -> None:
     config = tmp_path / "roboneuron.toml"
     config.write_text(CONFIG.format(state=tmp_path / "state"))
-    command = ["-m", "roboneuron.cli.main", "serve", "--config", str(config)]
 
     def lines() -> int:
         return len(heard.read_text().splitlines())
 
     async def scenario() -> None:
-        server = StdioServerParameters(command=sys.executable, args=command, env=environment)
-        async with Client(server, read_timeout_seconds=90.0) as client:
-
-            async def do(tool: str, **arguments: Any) -> dict[str, Any]:
-                answer = await client.call_tool(tool, arguments)
-                assert not answer.is_error, answer.content
-                result: dict[str, Any] = answer.structured_content
-                return result
+        async with client_of(config, environment, timeout_s=90.0) as client:
+            do = Agent(client).do
 
             async def joints() -> Any:
                 state = (await do("read_joint_states"))["messages"][0]
@@ -139,17 +132,10 @@ def test_simulated_calls_publish_nothing_and_come_true(
 def test_a_place_ends_as_it_was_simulated(tmp_path: Path, environment: dict[str, str]) -> None:
     config = tmp_path / "roboneuron.toml"
     config.write_text(CONFIG.format(state=tmp_path / "state"))
-    command = ["-m", "roboneuron.cli.main", "serve", "--config", str(config)]
 
     async def scenario() -> None:
-        server = StdioServerParameters(command=sys.executable, args=command, env=environment)
-        async with Client(server, read_timeout_seconds=120.0) as client:
-
-            async def do(tool: str, **arguments: Any) -> dict[str, Any]:
-                answer = await client.call_tool(tool, arguments)
-                assert not answer.is_error, answer.content
-                result: dict[str, Any] = answer.structured_content
-                return result
+        async with client_of(config, environment, timeout_s=120.0) as client:
+            do = Agent(client).do
 
             for seed, place in PLACES:
                 await do("start_robot", options={"seed": seed})
@@ -165,7 +151,7 @@ def test_a_place_ends_as_it_was_simulated(tmp_path: Path, environment: dict[str,
                     pose = (await do("read_ee_pose"))["messages"][0]["pose"]["position"]
                     end_m = [pose["x"], pose["y"], pose["z"]]
                     assert np.linalg.norm(np.subtract(end_m, told["position_m"])) < NEAR_M
-                    assert "red cube" in told["collides_with"]  # the one in the hand
+                    assert "red cube" in told["would_move"]  # the one in the hand
                     assert happened.structured_content["holding"] is False
                 else:
                     assert told["reason"]

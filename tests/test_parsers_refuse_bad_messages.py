@@ -19,9 +19,8 @@ import pytest
 from PIL import Image
 from sensor_msgs.msg import CompressedImage
 
-from rn_backend_openpi import wire as openpi_wire
-from rn_backend_shared import frames, wire
-from rn_backend_shared.frames import FrameKind, Header
+from rn_backend_shared import messages
+from rn_backend_shared import wire as openpi_wire
 from rn_backend_shared.introduction import to_profile
 from rn_backend_shared.session import Welcome
 from rn_eval import wire as eval_wire
@@ -35,44 +34,51 @@ from rn_recorder_runs.store import decoded_event
 from rn_robot_fr3.fci.network_check import is_answer
 from rn_runtime_sglang.wire import MalformedReply, error_text, parse_reply
 from rn_simulation.scene_state import from_message
-from rn_standard.switching.standby import LISTENERS, listeners
 from rn_standard.tasks.http_judge import parse_answer
-from rn_standard.tools_ros.interfaces.picture import to_picture
 from rn_testing.bad_data import ESCAPED, NOTHING, Parser, tried
 from rn_view.diagnostics.active_limits import limit_counts
 from rn_view.teleoperation.sample_socket import PageTeleoperator
 from rn_view.visualization.predicted_path import PlannedChunk
 from roboneuron import EE_DELTA, ForeignDataError, RoboNeuronError, foreign
+from roboneuron.switching.standby import LISTENERS, listeners
+from roboneuron.tools.ros.interfaces.picture import to_picture
 
-POSE = [{"$array": 2}, {"$array": 3}, 5]
-OBSERVATION = {
-    "frames": {},
-    "instruction": "pick",
-    "joints": [["j1"], {"$array": 0}, None, 1],
-    "ee_pose": None,
-    "gripper_open": 0.5,
-    "arms": {"left": [POSE, 0.5]},
-    "ahead": {
-        "rows": {"$array": 1},
-        "committed_rows": 1,
-        "step_s": 0.1,
-        "context": [1, 2],
-        "context_row": 0,
-        "state_ahead_s": 0.0,
+REQUEST = {
+    "prompt": "pick",
+    "observation/image": np.zeros((4, 4, 3), np.uint8),
+    "observation/joint_names": ["j1"],
+    "observation/joint_position": np.zeros(1),
+    "observation/left/ee_pose": np.array([0.0] * 6 + [1.0]),
+    "observation/gripper_open": np.array([0.5]),
+    "roboneuron": {
+        "frames": {"primary": {"camera": "c", "stamp_ns": 5, "frame_id": "f"}},
+        "arm_stamps_ns": {"left": 5},
+        "ahead": {
+            "rows": np.zeros((1, 7)),
+            "committed_rows": 1,
+            "step_s": 0.1,
+            "context": [1, 2],
+            "context_row": 0,
+            "state_ahead_s": 0.0,
+        },
+        "stamp_ns": 7,
     },
-    "stamp_ns": 7,
 }
-SPACE = wire.from_space(EE_DELTA)
+SPACE = messages.from_space(EE_DELTA)
 ANSWER = {
-    "actions": {"$array": 1},
-    "space": SPACE,
+    "actions": np.zeros((1, 7)),
     "step_s": 0.1,
-    "note": "",
-    "metrics": [["a"], {"$array": 0}],
-    "context": None,
-    "conditioned_rows": 0,
+    "roboneuron": {
+        "space": SPACE,
+        "note": "",
+        "metrics": [["a"], np.zeros(1)],
+        "context": None,
+        "conditioned_rows": 0,
+    },
 }
 WELCOME = {
+    "protocol": 1,
+    "number": 5,
     "state": "ready",
     "pid": 5,
     "cameras": ["primary"],
@@ -96,19 +102,11 @@ ROBOT = {
     "arms": [["l", ["j1"], "a", "b", None]],
     "cameras": [["c", "primary", 4, 4]],
 }
-ARRAYS = [["<f8", [1]], ["<f8", [1, 7]], ["<f8", [3]], ["<f8", [4]]]
-BODY = np.array([0.0] * 14 + [1.0]).tobytes()
 
 
-def framed(take: Callable[[Any], object]) -> Callable[[Path, bytes], object]:
-    """Decode a document in a frame of version 5, with its arrays after it."""
-
-    def parse(folder: Path, data: bytes) -> object:
-        body = b"[" + data + b"," + json.dumps(ARRAYS).encode() + b"]"
-        header = Header(FrameKind.REQUEST, document_bytes=len(body), array_bytes=len(BODY))
-        return take(frames.decode(header, body + BODY))
-
-    return parse
+def of_message(take: Callable[[Any], object]) -> Callable[[Path, bytes], object]:
+    """Decode a message of a websocket."""
+    return lambda folder, data: take(openpi_wire.unpack(data))
 
 
 def of_json(take: Callable[[Any], object]) -> Callable[[Path, bytes], object]:
@@ -196,19 +194,24 @@ PARSERS = {
     "page samples, joint": Parser(
         "a browser", page_sample, {"t": 1, "n": 4, "joint": ["j1", 0.1]}, (RoboNeuronError,)
     ),
-    "frames": Parser(
-        "a robot or policy server", framed(lambda document: document), {}, (ForeignDataError,)
-    ),
     "observation": Parser(
-        "a robot", framed(lambda d: wire.to_observation(d)), OBSERVATION, (RoboNeuronError,)
+        "a robot",
+        of_message(messages.to_observation),
+        openpi_wire.pack(REQUEST),
+        (RoboNeuronError,),
     ),
-    "answer": Parser("a policy server", framed(wire.to_answer), ANSWER, (RoboNeuronError,)),
+    "answer": Parser(
+        "a policy server",
+        of_message(messages.to_answer),
+        openpi_wire.pack(ANSWER),
+        (RoboNeuronError,),
+    ),
     "introduction": Parser("a robot", of_json(to_profile), ROBOT, (RoboNeuronError,)),
     "welcome": Parser(
         "a policy server",
-        of_json(lambda d: Welcome.of(foreign.table(d, "it"))),
+        of_json(lambda d: Welcome.of({messages.RESERVED: d})),
         WELCOME,
-        (ForeignDataError,),
+        (RoboNeuronError,),
     ),
     "openpi": Parser(
         "openpi's clients and servers",

@@ -29,23 +29,23 @@ from rn_recorder_runs.files import (
     read_statistics,
 )
 from rn_recorder_runs.store import read_facts
-from rn_standard.direct_path.type_hashes import read_type_hashes
 from rn_standard.ops.incidents import Incidents
 from rn_standard.ops.maintenance import FILE_NAME as MAINTENANCE
 from rn_standard.ops.maintenance import MaintenanceFile
 from rn_standard.tasks.history import TaskHistory
-from rn_standard.tools_arm.tightening import FILE_NAME as TIGHTENED
-from rn_standard.tools_arm.tightening import TighteningFile
 from rn_testing.bad_data import DAMAGES, ESCAPED, NOTHING, Parser, damage, tried
 from rn_view.diagnostics.alarms import FILE_NAME as ALARMS
 from rn_view.diagnostics.alarms import AlarmBook
 from rn_view.diagnostics.event_list import EventList, add_record
 from roboneuron import ConfigurationError, ForeignDataError, RoboNeuronError, foreign
+from roboneuron.direct_path.type_hashes import read_type_hashes
 from roboneuron.estop.latch import EmergencyStopLatch
 from roboneuron.estop.latch_file import ESTOP_FILE, read_cause
 from roboneuron.estop.pin import FILE_NAME as PIN
 from roboneuron.estop.pin import ReleasePin
 from roboneuron.gate import AuditLog
+from roboneuron.tools.arm.tightening import FILE_NAME as TIGHTENED
+from roboneuron.tools.arm.tightening import TighteningFile
 
 
 def in_file(name: str, read: Callable[[Path], object]) -> Callable[[Path, bytes], object]:

@@ -16,13 +16,13 @@ from rn_standard.http.feature import HttpFeature
 from rn_standard.http.plugin import FEATURE as HTTP
 from rn_standard.ops.maintenance import MaintenanceFeature, MaintenanceFile
 from rn_standard.ops.plugin import CLIENTS, MAINTENANCE, REAL_ROBOT
-from rn_standard.selection.plugin import FEATURE as SELECTION
 from rn_standard.tasks.feature import TasksFeature
 from rn_standard.tasks.plugin import FEATURE as TASKS
 from rn_testing.fakes import fake_registry
 from roboneuron import DriverSpec, RobotSpec
 from roboneuron.config import parse_config
 from roboneuron.errors import StateError
+from roboneuron.selection.plugin import FEATURE as SELECTION
 from roboneuron.server.app import Application
 from roboneuron.server.registry import ERROR_META
 from roboneuron.supervisor.changes import Stage

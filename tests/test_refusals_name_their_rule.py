@@ -7,8 +7,11 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 NAMED_BY_THE_GATE = {
-    f"rn_standard/direct_path/{name}.py"
-    for name in ("gate", "joints", "limits", "plan_scenes", "places", "plans", "regions", "twists")
+    "roboneuron/gate/motion/joint_paths.py",
+    *(
+        f"roboneuron/direct_path/{name}.py"
+        for name in ("gate", "limits", "plan_scenes", "places", "plans", "regions", "twists")
+    ),
 }
 """Rules of the gate raise without a name, because the gate adds the name of the applied rule."""
 NO_TOOLS = "lerobot-robot-roboneuron"

@@ -1,29 +1,26 @@
-"""The simulated FR3 is at rest 0.3 s after stop_motion, whatever moves it, and does not move again
-until it is asked to.
+"""The simulated FR3 is at rest after stop_motion, whatever moves it, and does not move again until
+it is asked to.
 
-Judged by its measured joints, by the truth of the simulation.
+Judged by its measured joints, by the truth of the simulation. That it rests within 0.3 s is judged
+in the timing lane, where nothing runs beside it.
 """
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parent))
 from cancelled_arm import INSTRUCTION, MOTIONS, Arm
 
 from rn_testing.waiting import holds_within, wait_until
 from roboneuron.ros.environment import prepare_environment
 
-sys.path.pop(0)
-
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(180)]
 REST_S = 0.3
+LOADED_REST_S = 1.0
+"""On a busy machine; each of the motions would go on for longer."""
 QUIET_S = 1.0
 KINDS = {
     "move_joints": "move_joints of 'fr3'",
@@ -60,7 +57,15 @@ def test_the_arm_rests_and_stays_at_rest(arm: Arm, kind: str) -> None:
     assert not arm.steward.call("get_status", {})["emergency_stop"]
 
 
-def stopped_while_it_moves(arm: Arm, kind: str) -> dict[str, Any]:
+@pytest.mark.timing
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_arm_rests_within_0_3_s(arm: Arm, kind: str) -> None:
+    stopped_while_it_moves(arm, kind, within_s=REST_S)
+
+
+def stopped_while_it_moves(
+    arm: Arm, kind: str, *, within_s: float = LOADED_REST_S
+) -> dict[str, Any]:
     """Start a motion of a kind, stop it, judge the rest; return what stop_motion answered."""
     client = arm.use("http", "2025-11-25", "notification", kind)
     arm.prepare(kind)
@@ -69,8 +74,7 @@ def stopped_while_it_moves(arm: Arm, kind: str) -> dict[str, Any]:
     elif kind == "lead_arm":
         client.begin(kind, {"source": "twist-topic"})
         wait_until(client.has_answered, 30.0, "the lead begins")
-        arm.release()
-        arm.push(True)
+        arm.push_until_it_moves()
     else:
         client.begin(*next(MOTIONS[kind]))
     try:
@@ -83,7 +87,7 @@ def stopped_while_it_moves(arm: Arm, kind: str) -> dict[str, Any]:
         took_s = arm.rested_after_s(since_s)
         print(f"{kind}: at rest after {took_s:.3f} s, answered {answer['took_s']:.3f} s")
         assert not holds_within(arm.moves, QUIET_S), "it moves again"
-        assert took_s < REST_S
+        assert took_s < within_s
         return answer
     finally:
         arm.push(False)

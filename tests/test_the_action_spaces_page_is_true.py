@@ -17,8 +17,6 @@ import pytest
 from rn_controller_urdf.controller import UrdfController
 from rn_controller_urdf.plugin import roboneuron_controllers
 from rn_robot_fr3.profile import profile
-from rn_standard.control.module import ControlModule, _executed_spaces
-from rn_standard.inference.agreement import SpaceAgreement, agree
 from roboneuron.config import LimitsConfig
 from roboneuron.contract import (
     EE_DELTA,
@@ -33,6 +31,8 @@ from roboneuron.contract import (
 )
 from roboneuron.errors import PlanningError, RoboNeuronError
 from roboneuron.gate.motion import MotionLimiter, motion_rules
+from roboneuron.modules.control.module import ControlModule, _executed_spaces
+from roboneuron.modules.inference.agreement import SpaceAgreement, agree
 
 PAGE = (Path(__file__).parents[1] / "docs" / "action-spaces.md").read_text(encoding="utf-8")
 ROBOT = profile()

@@ -5,9 +5,9 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from rn_standard.console.judge import RunOutcome
 from rn_standard.console.parsers import whole_parser
 from rn_standard.console.reference import with_reference
+from rn_standard.console.story import RunStatus
 from roboneuron.plugins.availability import known_names
 
 
@@ -34,7 +34,7 @@ def test_its_exit_statuses_are_those_of_run(root: Path) -> None:
     page = (root / "docs" / "command-line.md").read_text(encoding="utf-8")
     table = page.partition("| exit status |")[2].partition("\n\n")[0]
     listed = {int(number) for number in re.findall(r"^\| (\d+) \|", table, re.MULTILINE)}
-    assert listed == {int(outcome) for outcome in RunOutcome} | {2}
+    assert listed == {int(status) for status in RunStatus} | {2}
 
 
 def test_its_prose_names_the_packages_of_commands_that_requirements_lack(root: Path) -> None:

@@ -71,12 +71,14 @@ def files_named(text: str, page: str) -> list[str]:
 CORE, STANDARD = "roboneuron-core/src/roboneuron/", "plugins/rn-standard/src/rn_standard/"
 AT = {
     "ten-changes.md": {"core": CORE, "standard": STANDARD},
-    "architecture.md": {"rn_standard": STANDARD}
+    "architecture.md": {"rn_standard": STANDARD, "roboneuron": CORE}
     | {
         name: f"{CORE}{name}/"
-        for name in ("cli", "config", "contract", "data", "estop", "gate", "modules", "plugins")
-    }
-    | {name: f"{CORE}{name}/" for name in ("ros", "server", "supervisor")},
+        for name in (
+            *("cli", "config", "contract", "data", "direct_path", "estop", "gate", "modules"),
+            *("plugins", "ros", "selection", "server", "stdio", "supervisor"),
+        )
+    },
 }
 """Meaning of the first part of a path, by page."""
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import anyio
 import jsonschema
+import pytest
 from mcp import Client, types
 
 from roboneuron.config import load_config
@@ -62,10 +63,49 @@ def test_answers_fit_the_listed_schemas() -> None:
                         tool.output_schema["properties"].keys(),
                     )
                     assert told - {"acts_on"} <= listed
-                    empty = {"emergency_stop_cause", "left_out"}
-                    assert listed - told <= empty, "empty, so it is left out"
+                    empty = {"emergency_stop_cause", "left_out", "versions"}
+                    assert listed - told <= empty, "empty, or with details, so it is left out"
 
     try:
         anyio.run(ask)
     finally:
         application.close()
+
+
+@pytest.mark.parametrize(
+    ("query", "meant"),
+    [
+        ("switch policy backend list", ("switch_inference", "list_backends")),
+        ("replace a running policy; list models checkpoints", ("switch_inference",)),
+        ("show the log", ("get_logs",)),
+        ("which topics are there", ("list_topics",)),
+    ],
+)
+def test_a_rare_tool_is_found_by_the_words_of_a_request(query: str, meant: tuple[str, ...]) -> None:
+    application = Application(load_config(registry=discover()))
+
+    async def ask() -> list[str]:
+        async with Client(application.server) as client:
+            answer = await client.call_tool("find_tools", {"query": query, "schemas": False})
+            return [tool["name"] for tool in (answer.structured_content or {})["tools"]]
+
+    try:
+        assert set(meant) <= set(anyio.run(ask))
+    finally:
+        application.close()
+
+
+def test_a_backend_without_its_address_is_not_ready() -> None:
+    application = Application(load_config(registry=discover()))
+
+    async def ask() -> dict[str, str]:
+        async with Client(application.server) as client:
+            answer = await client.call_tool("list_backends", {})
+            listed = (answer.structured_content or {})["backends"]
+            return {entry["name"]: entry["status"] for entry in listed}
+
+    try:
+        told = anyio.run(ask)
+    finally:
+        application.close()
+    assert (told["servo"], told["openpi"]) == ("ready", "not ready")

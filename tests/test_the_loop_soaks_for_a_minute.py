@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 from soak import Settings, run
-
-sys.path.pop(0)
 
 pytestmark = [pytest.mark.ros, pytest.mark.timing, pytest.mark.timeout(300)]
 

@@ -6,33 +6,26 @@ from __future__ import annotations
 
 import json
 import re
-import sys
 import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parent))
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 import two_arms_plugin
 from plugin_site import installed
-
-sys.path.pop(0)
-sys.path.pop(0)
 
 from rn_backend_oft.constants import CONSTANTS
 from rn_backend_oft.tiny import make_tiny_oft
 from rn_backend_pi0.tiny import make_tiny
 from rn_runtime_torch.config import TorchRuntimeConfig
 from rn_runtime_torch.runtime import TorchRuntime
-from rn_standard.inference.agreement import agree_on_space
 from rn_vla.openvla.tiny import make_tiny as make_tiny_openvla
 from roboneuron.cli.main import main
 from roboneuron.config import parse_config
 from roboneuron.contract import Backend
 from roboneuron.errors import ConfigurationError
+from roboneuron.modules.inference.agreement import agree_on_space
 from roboneuron.modules.plugin import build
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.registry import Registry
@@ -142,6 +135,7 @@ def test_the_table_has_every_profile_and_every_backend_of_policies() -> None:
     }
 
 
+@pytest.mark.exhaustive
 @pytest.mark.sampled(every=3)
 @pytest.mark.parametrize("row", ROWS, ids=[row.policy for row in ROWS])
 def test_the_lines_of_a_row_are_all_that_its_policy_needs(

@@ -2,31 +2,25 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from planner_goals import (
+    HOME,
+    limiter_of_fr3,
+)
 
 from rn_robot_fr3.limits import ARM_JOINTS
 from rn_robot_fr3.profile import HOME_RAD
-from rn_standard.direct_path.path_limits import PathLimiter
-from rn_standard.direct_path.way_watch import WayWatch
 from roboneuron import (
     JointSample,
     Obstacle,
     RefusedError,
     joint_kinds,
 )
-
-sys.path.insert(0, str(Path(__file__).parent))
-from planner_goals import (
-    HOME,
-    limiter_of_fr3,
-)
-
-sys.path.pop(0)
+from roboneuron.gate.motion.path_limits import PathLimiter
+from roboneuron.gate.motion.path_watch import WayWatch
 
 
 @pytest.fixture(scope="module")

@@ -4,16 +4,12 @@ control take over while both arms move, without a hold.
 
 from __future__ import annotations
 
-import sys
 import time
 from pathlib import Path
 from typing import Any
 
 import anyio
 import pytest
-
-sys.path.append(str(Path(__file__).parent))
-
 from pair_agent import PATIENCE_S, STILL_RAD, configured, moved_rad
 
 from rn_standard.console.client import spawned_server

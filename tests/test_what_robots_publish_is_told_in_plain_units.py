@@ -17,13 +17,13 @@ import anyio
 import pytest
 
 from rn_interfaces.finder import PREFIXES
-from rn_standard.direct_path.fields import filled, load_type
-from rn_standard.tools_ros.battery import battery_of
-from rn_standard.tools_ros.detections import GetDetections, detections_of
-from rn_standard.tools_ros.newest import GetNewest
 from rn_testing.agent import Agent, client_of
 from rn_testing.domain import free_ros_domain
 from rn_testing.waiting import wait_for_line
+from roboneuron.direct_path.fields import filled, load_type
+from roboneuron.tools.ros.battery import battery_of
+from roboneuron.tools.ros.detections import GetDetections, detections_of
+from roboneuron.tools.ros.newest import GetNewest
 
 HERE = Path(__file__).parent
 EXAMPLES = HERE.parent / "examples"

@@ -46,7 +46,7 @@ class CubeAgent(Agent):
     """Reads the cubes' ground truth."""
 
     async def status(self, module: str) -> dict[str, Any]:
-        modules = (await self.do("get_status"))["modules"]
+        modules = (await self.do("get_status", details=True))["modules"]
         found: dict[str, Any] = next(m for m in modules if m["module"] == module)
         return found
 

@@ -10,10 +10,8 @@ import sys
 import tomllib
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parent))
+import pytest
 from contract_run import contract_run
-
-sys.path.pop(0)
 
 from roboneuron.cli.main import main
 from roboneuron.plugins import hookspecs
@@ -55,6 +53,7 @@ def test_the_extra_with_what_tests_need_has_one_name():
     assert "pip install -e '.[testing]'" in PAGE
 
 
+@pytest.mark.exhaustive
 def test_the_feature_of_the_page_keeps_its_contract_and_is_short(tmp_path):
     project = tmp_path / "rn-feature-odometer"
     assert main(["new", "feature", "odometer", "--directory", str(project)]) == 0

@@ -11,11 +11,7 @@ import sys
 from pathlib import Path
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parent))
 from contract_run import contract_run
-
-sys.path.pop(0)
 
 from roboneuron.cli.main import main
 
@@ -50,6 +46,7 @@ def test_the_page_has_all_files() -> None:
     }
 
 
+@pytest.mark.exhaustive
 def test_the_arm_of_the_page_keeps_its_contract(project: Path) -> None:
     assert re.search(
         r"\d\d passed", contract_run(project, "TestMyarm", options=STRICT, timeout_s=300.0)
@@ -108,6 +105,7 @@ upper_m = [1.0, 0.6, 1.5]
 """
 
 
+@pytest.mark.exhaustive
 @pytest.mark.ros
 @pytest.mark.parametrize(
     "kind", ["continuous", pytest.param("revolute", marks=pytest.mark.exhaustive)]

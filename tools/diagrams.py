@@ -19,30 +19,31 @@ from diagram_sheet import AMBER, BLUE, GREEN, RED, WHITE, Sheet
 
 def packages() -> str:
     """Packages of the core in the order of their imports, and the plugins."""
-    s = Sheet(900, 300, "Packages of the core and what they import")
+    s = Sheet(900, 362, "Packages of the core and what they import")
     rows = (
-        ("cli", BLUE), ("server", BLUE), ("supervisor", BLUE), ("modules", AMBER), ("ros", AMBER),
+        ("cli", BLUE), ("tools, switching", BLUE), ("direct_path, sight, selection, stdio", BLUE),
+        ("server", BLUE), ("supervisor", BLUE), ("modules", AMBER), ("ros", AMBER),
         ("estop, gate", RED), ("plugins, planning, config", GREEN),
         ("contract", GREEN), ("errors", GREEN),
     )  # fmt: skip
     for number, (name, fill) in enumerate(rows):
         s.box(30, 16 + 30 * number, 300, 26, name, fill=fill)
-    s.line((352, 30), (352, 270))
-    s.text(364, 155, "imports go down only", small=True, anchor="start")
+    s.line((352, 30), (352, 332))
+    s.text(364, 185, "imports go down only", small=True, anchor="start")
     s.box(
         540,
         40,
         330,
         66,
         "rn-standard",
-        "direct path, tools, tasks, switching,",
-        "ops, HTTP, fleet, console",
+        "tasks, ops, HTTP, teleoperation,",
+        "simulate, fleet, console",
     )
     s.box(540, 122, 330, 50, "devices", "rn-robot-*, rn-perception-*, rn-controller-*")
     s.box(540, 188, 330, 50, "models", "rn-backend-*, rn-runtime-*, rn-accel-*")
     s.box(540, 252, 330, 34, "rn-recorder, rn-view, rn-eval, ...")
-    s.line((540, 205), (505, 205), (505, 225), (332, 225))
-    s.text(425, 243, "found by entry points", small=True)
+    s.line((540, 215), (515, 215), (515, 269), (332, 269))
+    s.text(440, 287, "found by entry points", small=True)
     return s.svg()
 
 

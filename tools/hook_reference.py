@@ -15,6 +15,7 @@ from pathlib import Path
 
 from roboneuron.cli.main import CommandModule
 from roboneuron.contract import protocols
+from roboneuron.contract.locator import Locator
 from roboneuron.plugins import hookspecs
 from roboneuron.plugins.specs import (
     PLUGIN_KINDS,
@@ -23,6 +24,7 @@ from roboneuron.plugins.specs import (
     Loadable,
     Requirement,
     Spec,
+    Verb,
 )
 from roboneuron.server.feature import Feature
 from roboneuron.server.host import Events, Host
@@ -36,6 +38,7 @@ PROTOCOLS: dict[str, tuple[type, ...]] = {
     "perception": (protocols.PerceptionSource, protocols.Topics),
     "controller": (protocols.Controller,),
     "robot": (protocols.RobotDriver,),
+    "locator": (Locator,),
     "feature": (Feature, Host, Events, Event),
     "command": (CommandModule,),
 }
@@ -140,7 +143,8 @@ def render() -> str:
     """Return the whole page."""
     lines = [INTRODUCTION, "## Every descriptor\n", first_line(Spec) + "\n"]
     lines += [*field_list(Loadable), *field_list(Spec), ""]
-    lines += ["### Requirement\n", first_line(Requirement) + "\n", *field_list(Requirement), ""]
+    for part in (Requirement, Verb):
+        lines += [f"### {part.__name__}\n", first_line(part) + "\n", *field_list(part), ""]
     for kind in PLUGIN_KINDS:
         lines += section(kind)
     return "\n".join(lines).rstrip() + "\n"

@@ -9,19 +9,19 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-CORE, STANDARD = "roboneuron-core/src/roboneuron", "plugins/rn-standard/src/rn_standard"
+CORE = "roboneuron-core/src/roboneuron"
 MODULE_TESTS = ("roboneuron-core/tests/modules",)
 SUPERVISOR_TESTS = ("roboneuron-core/tests/supervisor",)
 CORE_TESTS = ("roboneuron-core/tests/gate", *MODULE_TESTS, *SUPERVISOR_TESTS)
-DIRECT_TESTS = ("plugins/rn-standard/tests/direct_path",)
+DIRECT_TESTS = ("roboneuron-core/tests/direct_path",)
 ARM_TESTS = (
-    *("plugins/rn-standard/tests/tools_arm", "plugins/rn-controller-urdf/tests"),
+    *("roboneuron-core/tests/tools/arm", "plugins/rn-controller-urdf/tests"),
     "tests/safety/test_an_arm_that_was_held_up_catches_up_nothing.py",
     "tests/safety/test_fr3_brakes_before_its_limits.py",
     "tests/safety/test_joint_motions_keep_clear_of_links_and_table.py",
 )
 DIRECT_ARM_TESTS = (
-    "plugins/rn-standard/tests/tools_arm",
+    "roboneuron-core/tests/tools/arm",
     "tests/safety/test_joint_motions_keep_clear_of_links_and_table.py",
 )
 
@@ -71,7 +71,7 @@ PARTS = {
         files=("modules/holding.py", "modules/joint_watch.py", "modules/robot.py"),
         tests=MODULE_TESTS,
     ),
-    "control": Part(package=STANDARD, files=("control/module.py",), tests=MODULE_TESTS),
+    "control": Part(package=CORE, files=("modules/control/module.py",), tests=MODULE_TESTS),
     "supervisor": Part(
         package=CORE,
         files=tuple(
@@ -88,13 +88,20 @@ PARTS = {
         },
     ),
     "direct-path": Part(
-        package=STANDARD,
-        files=tuple(
-            f"direct_path/{name}.py"
-            for name in (
-                *("gate", "motion_gate", "limits", "path_limits", "rate"),
-                *("arbiter", "allow_list", "speeds", "twists", "joints"),
-            )
+        package=CORE,
+        files=(
+            *(
+                f"gate/motion/{name}.py"
+                for name in ("path_limits", "path_watch", "joint_paths", "speeds")
+            ),
+            "modules/arm_paths.py",
+            *(
+                f"direct_path/{name}.py"
+                for name in (
+                    *("gate", "motion_gate", "limits", "rate"),
+                    *("arbiter", "allow_list", "twists"),
+                )
+            ),
         ),
         tests=(*DIRECT_TESTS, *DIRECT_ARM_TESTS),
     ),

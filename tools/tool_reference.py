@@ -60,7 +60,9 @@ def tools_reference() -> str:
     """The page of the core and the installed features of the project, without other plugins."""
     config = Config.model_validate({"robot": {"name": "none"}})
     features = tuple(
-        offer for offer in discover().offers("feature") if package_of("feature", offer.spec.name)
+        offer
+        for offer in discover().offers("feature")
+        if offer.distribution == "roboneuron-core" or package_of("feature", offer.spec.name)
     )
     registry = Registry(plugins=(), all_offers=features)
     application = Application(config, plugins=lambda: registry)

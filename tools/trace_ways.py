@@ -128,7 +128,7 @@ def read(folder: Path) -> dict[str, list[Call]]:
         calls = [Call(**call) for call in json.loads(path.read_text())]
         files = {call.file for call in calls}
         for kind, thread in CARRIERS.items():
-            if f"rn_standard/{kind}/module.py" in files:
+            if f"roboneuron/modules/{kind}/module.py" in files:
                 found[kind] = sorted(
                     (c for c in calls if c.thread == thread and c.root not in BESIDE),
                     key=lambda call: call.at_ns,

@@ -15,7 +15,7 @@ from contextlib import contextmanager
 import pytest
 
 from rn_testing.waiting import wait_until
-from roboneuron.hang_watch import END_SIGNAL, VARIABLE
+from roboneuron.hang_watch import END_SIGNAL, VARIABLE, grown_bound_s
 
 pytestmark = pytest.mark.timeout(60)
 BOUND_S = 0.8
@@ -149,6 +149,39 @@ def test_a_short_hang_and_one_while_loading_are_allowed() -> None:
     with process(script) as child:
         output, log = finish(child)
         assert (child.returncode, output) == (0, b"left\n"), log
+
+
+LONG_S = 2.0
+"""Bound with which a busy machine makes little difference."""
+LATER_AND_LATER = (
+    "".join(
+        f"libc.usleep({int(LONG_S * share * 1e6)}); time.sleep(0.3)\n"
+        for share in (0.25, 0.5, 1.25, 1.75)
+    )
+    + "say('late')\n"
+)
+"""As seen by the thread of the watch, every thread gets less and less of a processor."""
+
+
+@pytest.mark.exhaustive
+def test_a_process_that_gets_little_of_a_processor_goes_on() -> None:
+    with process(BEGIN + "say('ready')\n" + LATER_AND_LATER, LONG_S) as child:
+        output, log = finish(child)
+        assert (child.returncode, output) == (0, b"late\n"), log
+
+
+@pytest.mark.exhaustive
+def test_a_process_that_gets_little_of_a_processor_ends_when_it_hangs() -> None:
+    with process(BEGIN + "say('ready')\n" + LATER_AND_LATER + "libc.sleep(100)", LONG_S) as child:
+        output, log = finish(child)
+        assert (child.returncode, output) == (-END_SIGNAL, b"late\n"), log
+
+
+@pytest.mark.parametrize(
+    ("late_s", "grown_s"), [(0.0, 15.0), (0.5, 19.0), (3.6, 43.8), (15.0, 60.0), (1e9, 60.0)]
+)
+def test_the_bound_grows_with_the_lateness_up_to_a_limit(late_s: float, grown_s: float) -> None:
+    assert grown_bound_s(15.0, late_s) == pytest.approx(grown_s)
 
 
 def test_after_loading_the_bound_holds_again() -> None:

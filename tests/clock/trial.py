@@ -16,8 +16,8 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 from fault_loop import moving_cell
 
-from rn_standard.selection.requests import StartChosenInference
-from rn_standard.switching.replacing import Switching
+from roboneuron.selection.requests import StartChosenInference
+from roboneuron.switching.replacing import Switching
 
 sys.path.pop(0)
 _RECOVER_S = 20.0

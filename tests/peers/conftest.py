@@ -5,22 +5,17 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import psutil
 import pytest
-from anyio.from_thread import start_blocking_portal
-from mcp import Client, StdioServerParameters
-
-sys.path.append(str(Path(__file__).parent))  # for foreign
-
 from foreign import Server
 
 from rn_interfaces.finder import PREFIXES
 from rn_interfaces.learning import learn
 from rn_interfaces.sources import definitions
 from rn_interfaces.store import DefinitionStore
+from rn_testing.agent import blocking_client
 from rn_testing.domain import free_ros_domain
 
 OTHERWISE = {
@@ -87,12 +82,7 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
             path.write_text(definition)
         store = DefinitionStore(folder / "data" / "roboneuron" / "interfaces")
         assert not learn(store, definitions(written)).refused
-    command = ["-m", "roboneuron.cli.main", "serve", "--config", str(config)]
-    parameters = StdioServerParameters(command=sys.executable, args=command, env=environment)
-    with (
-        start_blocking_portal() as portal,
-        portal.wrap_async_context_manager(Client(parameters)) as client,
-    ):
+    with blocking_client(config, environment) as (client, portal):
 
         def call(tool: str, arguments: dict[str, Any]) -> Any:
             return portal.call(client.call_tool, tool, arguments)

@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rn_standard.tools_arm.plugin import LIMITS
 from rn_testing.domain import free_ros_domain
 from rn_testing.fakes import fake_plan
 from rn_testing.waiting import wait_until
@@ -23,6 +22,7 @@ from roboneuron.config import Config, parse_config
 from roboneuron.estop.motion_starts import MotionStarts
 from roboneuron.ros.environment import prepare_environment
 from roboneuron.supervisor.supervisor import Supervisor
+from roboneuron.tools.arm.plugin import LIMITS
 
 CONFIG = """
 [robot]

@@ -13,16 +13,17 @@ import numpy as np
 from motion_judge import MotionJudge
 from std_msgs.msg import Float64MultiArray
 
-from rn_standard.control.module import ControlModule
-from rn_standard.tools_arm.limit_reports import LimitReports
 from roboneuron.config import ModuleSettings, parse_config
 from roboneuron.contract import JointCommand, JointSample
 from roboneuron.errors import RefusedError
 from roboneuron.gate.motion import DriverLimiter
+from roboneuron.modules.arm_paths import ArmPaths
 from roboneuron.modules.command_guard import joint_rules
-from roboneuron.modules.module_host import Handover
+from roboneuron.modules.control.module import ControlModule
 from roboneuron.modules.status import StatusWriter
+from roboneuron.modules.step_filters import StepFilter
 from roboneuron.ros.messages import to_joint_state
+from roboneuron.tools.arm.limit_reports import LimitReports
 
 
 class Clock:
@@ -52,7 +53,7 @@ class _Host:
     def __init__(self, settings: ModuleSettings, clock: Clock) -> None:
         self.settings, self._clock = settings, clock
         self.status = StatusWriter(settings.status_name)
-        self.handover = Handover()
+        self.filters: list[StepFilter] = []
         self.resources = ExitStack()
         self.stopped, self.needs_start = False, ""
         self.publishers: dict[str, _Publisher] = {}
@@ -98,12 +99,16 @@ class ControlLoop:
         )
         self.host = _Host(settings, clock)
         self.control = ControlModule(self.host)  # type: ignore[arg-type]
-        self.control.on_limited.append(LimitReports(self.control).report)
+        self.control.filters.add(LimitReports(self.control))
         self.holds = self.commands = 0
         self.changed: list[str] = []
         self._driver_limits = DriverLimiter(
             self.control.profile, joint_rules(self.host.settings.config.limits)
         )
+        limits, profile = settings.config.limits, self.control.profile
+        self._paths = ArmPaths(
+            settings.config, lambda: self.control.registry, lambda: limits
+        ).driver_paths(settings.config.robot.name, profile)
         self._command_hold = self.control._command_hold
         self.control._command_hold = self._note_hold  # type: ignore[method-assign]
         self._is_hold = False
@@ -159,9 +164,13 @@ class ControlLoop:
 
     def _send(self, command: JointCommand, now_s: float) -> None:
         """Pass a command as the robot module does."""
-        self._driver_limits.measure(self.joints())
+        joints = self.joints()
+        self._driver_limits.measure(joints)
+        self._paths.measure(joints, now_s)
         try:
             (admitted,) = self._driver_limits.admit([command], now_s)
+            (admitted,), too_fast = self._paths.limit([admitted])
+            self.changed += [too_fast] * bool(too_fast)
             passed = self._driver_limits.limit(admitted, now_s)
         except RefusedError as error:
             self.changed.append(error.message)

@@ -12,11 +12,7 @@ import sys
 from pathlib import Path
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 from bench_full_ports import FLOOD, IDLE, measure, running
-
-sys.path.pop(0)
 
 pytestmark = [pytest.mark.ros, pytest.mark.timing, pytest.mark.timeout(180)]
 STOPS = 2

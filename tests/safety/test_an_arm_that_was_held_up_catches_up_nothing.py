@@ -20,14 +20,14 @@ from rn_robot_fr3.profile import profile
 from rn_robot_fr3.simulation import STEP_S, ArmSimulation
 from rn_robot_fr3.world import JOINTS
 from rn_simulation.engine import ENGINES, Engine
-from rn_standard.tools_arm.ee_line import STEP_S as ACTION_S
-from rn_standard.tools_arm.ee_line import Order
-from rn_standard.tools_arm.end_effector import EndEffectorMover
-from rn_standard.tools_arm.options import ArmToolsOptions
 from roboneuron.config import LimitsConfig
 from roboneuron.contract import Action, JointCommand, JointSample, Pose
 from roboneuron.gate.motion import MotionLimiter, inspector_of, motion_rules
 from roboneuron.plugins.availability import is_importable
+from roboneuron.tools.arm.ee_line import STEP_S as ACTION_S
+from roboneuron.tools.arm.ee_line import Order
+from roboneuron.tools.arm.end_effector import EndEffectorMover
+from roboneuron.tools.arm.options import ArmToolsOptions
 
 LIMIT_M_S = 0.15
 STALL_S = 0.125

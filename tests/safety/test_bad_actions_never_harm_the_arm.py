@@ -80,8 +80,15 @@ def test_bad_action_from_a_stranger_is_counted_and_the_motion_stays_within_limit
 
 
 def test_hundredfold_rate_is_no_faster_and_ends_at_the_workspace(arm: Any, wait: Wait) -> None:
-    start_s = time.monotonic()
-    while time.monotonic() - start_s < 2.5:
+
+    def ended() -> int:
+        beyond = ("outside_workspace", "limit_workspace")
+        return sum(arm.dropped("control", word) for word in beyond)
+
+    start_s, before = time.monotonic(), ended()
+    # at least 2.5 s, and on a busy machine until it has arrived there
+    while time.monotonic() - start_s < 2.5 or ended() == before:
+        assert time.monotonic() - start_s < 30.0, arm.places(start_s)[-1]
         arm.act([0.0, 0.05, 0.0, 0.0, 0.0, 0.0, 1.0])
         time.sleep(0.001)
     wait(arm.is_still, 2.0, "the arm stands at the end of the workspace")
@@ -95,9 +102,6 @@ def test_hundredfold_rate_is_no_faster_and_ends_at_the_workspace(arm: Any, wait:
     # tens of milliseconds.
     assert speeds[apart].max() <= 0.5 * 1.25
     assert places[-1][1] > 0.3
-    assert (
-        arm.dropped("control", "outside_workspace") + arm.dropped("control", "limit_workspace") > 0
-    )
     wait(
         lambda: arm.metric("control", "limited.speed") != "",
         2.0,

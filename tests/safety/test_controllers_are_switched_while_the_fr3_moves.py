@@ -12,15 +12,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rn_standard.selection.feature import chosen_forms
-from rn_standard.selection.requests import StartControl
-from rn_standard.switching.plugin import FEATURE as SWITCHING
-from rn_standard.switching.replacing import Switching
 from roboneuron.config import ControlConfig
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.loading import load_target
 from roboneuron.plugins.specs import RobotSpec
+from roboneuron.selection.feature import chosen_forms
+from roboneuron.selection.requests import StartControl
 from roboneuron.server.loop import ClosedLoop
+from roboneuron.switching.plugin import FEATURE as SWITCHING
+from roboneuron.switching.replacing import Switching
 
 pytestmark = [pytest.mark.ros, pytest.mark.timing, pytest.mark.timeout(180)]
 

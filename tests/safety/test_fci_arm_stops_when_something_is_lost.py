@@ -9,18 +9,13 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 from fci_cell import PYTHON, STILL_RAD_S, FciCell, frozen, served_fci, watched
-
-sys.path.pop(0)
 
 from roboneuron.plugins.availability import is_importable
 

@@ -13,11 +13,11 @@ import pytest
 from rn_controller_urdf.controller import UrdfController
 from rn_robot_fr3.limits import ARM_JOINTS, joint_limits, velocity_bounds
 from rn_robot_fr3.profile import profile
-from rn_standard.direct_path.joints import check_joints
 from roboneuron.config import LimitsConfig
 from roboneuron.contract import JointCommand, JointSample, PostureInspector
 from roboneuron.errors import RefusedError
 from roboneuron.gate.motion import MotionLimiter, motion_rules
+from roboneuron.gate.motion.joint_paths import check_joints
 from roboneuron.gate.motion.joint_space import JointLimit, braking_velocity
 
 

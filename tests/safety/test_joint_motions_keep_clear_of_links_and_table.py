@@ -10,30 +10,28 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pybullet
 import pytest
+from link_contacts import penetrations
 
 from rn_robot_fr3.limits import FINGER_OPEN_M
 from rn_robot_fr3.profile import HOME_RAD
 from rn_robot_fr3.simulation import ArmSimulation
 from rn_robot_fr3.world import JOINTS
-from rn_standard.direct_path.allow_list import ArmPaths
-from rn_standard.direct_path.exposed import allowed_endpoint, profile_endpoints
-from rn_standard.direct_path.gate import Gate
 from roboneuron.config import parse_config
 from roboneuron.contract import JointCommand, JointSample
+from roboneuron.direct_path.exposed import allowed_endpoint, profile_endpoints
+from roboneuron.direct_path.gate import Gate
 from roboneuron.errors import RefusedError
 from roboneuron.estop import EmergencyStopLatch
 from roboneuron.feature import GateRequest
 from roboneuron.gate import AuditLog
+from roboneuron.modules.arm_paths import ArmPaths
 from roboneuron.modules.plugin import load_profile
 from roboneuron.plugins.discovery import discover
 from roboneuron.ros.messages import to_joint_trajectory
 
 COMMANDED = JOINTS[:8]
 HOME = np.array([*HOME_RAD, FINGER_OPEN_M])
-RIGID = [{"fr3_link7", "fr3_hand"}, {"fr3_leftfinger", "fr3_rightfinger"}]
-"""Links that always overlap, and fingers that close on each other."""
 Ask = Callable[..., str]
 
 
@@ -96,31 +94,6 @@ def simulation() -> Iterator[ArmSimulation]:
             dict.fromkeys(made.world.cube_poses(), ((0.0, 5.0, 0.5), (0.0, 0.0, 0.0, 1.0)))
         )
         yield made
-
-
-def penetrations(simulation: ArmSimulation) -> list[tuple[str, str, float]]:
-    """Overlaps of links that share no joint, or of a moving link and the table: names and distance
-    [m].
-    """
-    client, robot, table = simulation.world.client, simulation.world.robot, 0
-    infos = [
-        pybullet.getJointInfo(robot, i, physicsClientId=client)
-        for i in range(pybullet.getNumJoints(robot, physicsClientId=client))
-    ]
-    names = {-1: "fr3_link0"} | {info[0]: info[12].decode() for info in infos}
-    parents = {info[0]: info[16] for info in infos}
-    found = []
-    for point in pybullet.getClosestPoints(robot, robot, 0.0, physicsClientId=client):
-        a, b = point[3], point[4]
-        is_one = (
-            a == b or parents.get(a) == b or parents.get(b) == a or {names[a], names[b]} in RIGID
-        )
-        if not is_one and point[8] < 0.0:
-            found.append((names[a], names[b], point[8]))
-    for point in pybullet.getClosestPoints(robot, table, 0.0, physicsClientId=client):
-        if point[3] != -1 and point[8] < 0.0:
-            found.append((names[point[3]], "table", point[8]))
-    return found
 
 
 def along(

@@ -4,7 +4,6 @@ limit, as checked by `MotionJudge`.
 
 from __future__ import annotations
 
-import sys
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -13,9 +12,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-
-sys.path.append(str(Path(__file__).parent))
-
 from control_loop import Clock, ControlLoop
 from motion_judge import ArmFacts, MotionJudge
 
@@ -30,8 +26,6 @@ from rn_robot_fr3.profile import (
     WORKSPACE_UPPER_M,
     profile,
 )
-from rn_standard.control import module as control_module
-from rn_standard.inference.agreement import SpaceAgreement, agree
 from roboneuron.contract import (
     SPACE_KINDS,
     ActionChunk,
@@ -41,6 +35,8 @@ from roboneuron.contract import (
 )
 from roboneuron.errors import RoboNeuronError
 from roboneuron.modules import holding
+from roboneuron.modules.control import module as control_module
+from roboneuron.modules.inference.agreement import SpaceAgreement, agree
 from roboneuron.ros.messages import to_action_message
 
 F64 = np.ndarray
@@ -285,7 +281,7 @@ def test_no_chunk_of_any_space_breaks_a_limit(
         assert len(acted) >= 6
 
 
-TELLING = (0, 1, 2, 10, 16)
+TELLING = (2, 16)
 """Seeds with which all limits are broken; tried first."""
 
 

@@ -22,11 +22,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from anyio.from_thread import BlockingPortal, start_blocking_portal
-from mcp import Client, StdioServerParameters
+from anyio.from_thread import BlockingPortal
+from mcp import Client
 
+from rn_testing.agent import blocking_client
 from rn_testing.domain import free_ros_domain
-from rn_testing.waiting import holds_within
+from rn_testing.waiting import holds_within, wait_until
 from roboneuron.estop import ESTOP_FILE
 from roboneuron.ros.environment import prepare_environment
 
@@ -78,7 +79,9 @@ class ServedArm:
         return dict(answer.structured_content)
 
     def robot(self) -> dict[str, Any]:
-        return next(m for m in self.do("get_status")["modules"] if m["module"] == "robot")
+        return next(
+            m for m in self.do("get_status", details=True)["modules"] if m["module"] == "robot"
+        )
 
     def is_moving(self) -> bool:
         return bool(self.velocity) and self.velocity[-1][1] > 5 * STILL_RAD_S
@@ -100,6 +103,10 @@ class ServedArm:
             # a busy machine or an earlier test may have ended it; the test is about what follows
             print(f"The robot is started anew: {robot}", file=sys.stderr)
             self.do("start_robot")
+        if self.do("get_status")["emergency_stop"]:
+            print("A failed test has left the stop latched.", file=sys.stderr)
+            self.release()
+            wait_until(lambda: not self.do("get_status")["emergency_stop"], 5.0, "it is released")
         target = 2.2 if self.position[6] < 0 else -2.0
         arguments = {"positions": {"fr3_joint7": target}, "duration_s": 8.0}
         self.told = ""
@@ -134,6 +141,14 @@ class ServedArm:
                 self.move_away()
         raise AssertionError(f"The arm does not move: {self.told} {self.robot()}")
 
+    def lose_state(self) -> None:
+        """Remove the state directory, all of it at once: a removal file by file would also remove
+        what the server writes meanwhile.
+        """
+        lost = self.state.with_name(f"lost-{time.monotonic_ns()}")
+        self.state.rename(lost)
+        shutil.rmtree(lost, ignore_errors=True)  # the server may still write to it
+
     def release(self) -> None:
         """Release as a person does: confirm in a terminal."""
         person, terminal = pty.openpty()
@@ -162,19 +177,9 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServedArm]:
     with pytest.MonkeyPatch.context() as patch, ExitStack() as stack:
         patch.setenv("ROS_DOMAIN_ID", str(free_ros_domain()))
         prepare_environment(folder / "log")
-        command = [
-            "-m",
-            "roboneuron.cli.main",
-            "serve",
-            "--config",
-            str(config),
-            "--log-level",
-            "error",
-        ]
-        server = StdioServerParameters(command=sys.executable, args=command, env=dict(os.environ))
-        portal = stack.enter_context(start_blocking_portal())
-        client = stack.enter_context(portal.wrap_async_context_manager(Client(server)))
-        served = ServedArm(client, portal, folder / "state")
+        options = ("--log-level", "error")
+        agent = blocking_client(config, os.environ, *options)
+        served = ServedArm(*stack.enter_context(agent), folder / "state")
         stack.callback(served.link.close)
         served.do("start_robot")
         yield served
@@ -235,7 +240,7 @@ def test_a_removed_state_directory_does_not_release_the_stop(arm: ServedArm, wai
     call.join(30.0)
     wait(arm.is_still, 3.0, "the arm stands")
     place = arm.position.copy()
-    shutil.rmtree(arm.state, ignore_errors=True)  # a file may be written again during the removal
+    arm.lose_state()
     wait((arm.state / ESTOP_FILE).exists, 2.0, "the latch is written again")
     answer = arm.answer("move_joints", positions={"fr3_joint7": -float(np.sign(place[6]))})
     assert answer.is_error
@@ -264,7 +269,7 @@ def test_a_removed_state_directory_during_motion_stops_nothing_and_hides_no_stop
     """Nothing is latched when it is removed; a later stop must still hold."""
     call = arm.move_away()
     arm.wait_moving()
-    shutil.rmtree(arm.state, ignore_errors=True)
+    arm.lose_state()
     arm.do("emergency_stop", reason="smoke")
     call.join(30.0)
     wait(arm.is_still, 3.0, "the arm stands")

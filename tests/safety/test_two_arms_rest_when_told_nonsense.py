@@ -4,26 +4,22 @@ limits on a test clock: one clear error each, and both arms at rest.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
-
-sys.path.append(str(Path(__file__).parent))
-
 from control_loop import Clock, _Host
+from numpy.typing import NDArray
 
 from rn_robot_fr3.cell import PAIR
 from rn_robot_fr3.profile import HOME_RAD, pair_profile
-from rn_standard.control import module as control_module
-from rn_standard.control.module import ControlModule
 from roboneuron.config import ModuleSettings, parse_config
 from roboneuron.contract import EE_DELTA, ControlSpace, JointSample, robot_space
 from roboneuron.modules import holding
+from roboneuron.modules.control import module as control_module
+from roboneuron.modules.control.module import ControlModule
 from roboneuron.ros.messages import to_action_message, to_joint_state
 
 F64 = NDArray[np.float64]

@@ -9,13 +9,13 @@ import re
 import subprocess
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import anyio
 import psutil
 import pytest
 from mcp import Client, StdioServerParameters
 
+from rn_testing.agent import Agent
 from rn_testing.domain import free_ros_domain
 from rn_testing.waiting import wait_for_line
 
@@ -161,10 +161,7 @@ def own_node(shell: dict[str, str]) -> Iterator[None]:
 async def speak(client: Client) -> None:
     """Publish, read and call types of the workspace, with a node of the sourced ROS."""
 
-    async def do(tool: str, **arguments: Any) -> dict[str, Any]:
-        answer = await client.call_tool(tool, arguments)
-        assert not answer.is_error, answer.content
-        return dict(answer.structured_content or {})
+    do = Agent(client).do
 
     message = {"offset": [0.25, 0.0, 0.5], "tool": "tig", "picture": [1, 2, 3]}
     heard = ""

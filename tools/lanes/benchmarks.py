@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import sys
-
 import nox
 
 from lanes.environments import prepare, python_of
@@ -29,31 +27,10 @@ def soak(session: nox.Session) -> None:
 
 
 @lane
-def bench_fci(session: nox.Session) -> None:
-    """accuracy, stopping and load of the driver of the real arm; prints tables"""
-    prepare(session, "fr3sim")
-    python(session, "benchmarks/bench_fci.py")
-
-
-@lane
-def bench_fci_loop(session: nox.Session) -> None:
-    """a policy with warm switches and random actions; resumes: --minutes 30 --busy 0,8"""
-    prepare(session, "fr3sim")
-    python(session, "benchmarks/bench_fci_loop.py")
-
-
-@lane
 def bench_fci_box(session: nox.Session) -> None:
     """a policy through a box that loses packets; resumes: --minutes 60"""
     prepare(session, "fr3sim")
     python(session, "benchmarks/bench_fci_box.py")
-
-
-@lane
-def bench_fci_stops(session: nox.Session) -> None:
-    """the emergency stop of that arm by tool, topic and file; resumes: --trials 100"""
-    prepare(session, "fr3sim")
-    python(session, "benchmarks/bench_fci_stops.py")
 
 
 @lane
@@ -75,12 +52,6 @@ def bench_serve(session: nox.Session) -> None:
 
 
 @lane
-def bench_link_success(session: nox.Session) -> None:
-    """cubes lifted against the link's latency, loss and rate; resumes (root)"""
-    python(session, "benchmarks/bench_link_success.py")
-
-
-@lane
 def bench_vla(session: nox.Session) -> None:
     """backends and acceleration presets against a plain transformers loop"""
     python(session, "benchmarks/bench_vla.py")
@@ -88,9 +59,8 @@ def bench_vla(session: nox.Session) -> None:
 
 @lane
 def bench_tasks(session: nox.Session) -> None:
-    """outcomes of tasks against the simulator's truth; start_all against four calls (--runs 20)"""
+    """outcomes of tasks against the simulator's truth (--runs 20)"""
     python(session, "benchmarks/bench_tasks.py", "--workers", JOBS)
-    session.run(sys.executable, "benchmarks/bench_start_all.py")
 
 
 @lane

@@ -4,15 +4,11 @@ lerobot's environment.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from anyio.from_thread import start_blocking_portal
-
-sys.path.append(str(Path(__file__).parent))  # for lerobot_lane
-
 from lerobot_lane import CONFIG, JOINTS, ROOT, Lerobot, Served, Watch
 
 from roboneuron.command import environment

@@ -7,7 +7,6 @@ from __future__ import annotations
 import json
 import re
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
@@ -17,15 +16,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from anyio.from_thread import start_blocking_portal
-from lerobot_lane import JOINTS, PATIENT, ROOT, Lerobot, Served, Watch
+from lerobot_lane import JOINTS, PATIENT, Lerobot, Served, Watch
+from page_client import PageClient
 
 from rn_robot_lerobot.bus.arm import SerialArm
 from rn_robot_lerobot.bus.reference import ASSEMBLED_SO101
 from rn_robot_lerobot.simulation import CELL
 from rn_testing.waiting import wait_until
-
-sys.path.append(str(ROOT / "plugins" / "rn-view" / "tests"))
-from page_client import PageClient
 
 ACTION_TIMEOUT_S, BRAKING_S = 0.5, 0.3
 """Of control; what the simulated arm needs beyond it on a busy machine."""

@@ -23,10 +23,10 @@ from rn_backend_openvla.plugin import roboneuron_backends as openvla_backends
 from rn_runtime_torch.config import TorchRuntimeConfig
 from rn_runtime_torch.plugin import roboneuron_runtimes
 from rn_runtime_torch.runtime import TorchRuntime
-from rn_standard.inference.planning import find_policy
 from rn_testing.fakes import make_observation
 from rn_vla.openvla.tiny import make_tiny
 from roboneuron.errors import ConfigurationError, PlanningError
+from roboneuron.modules.inference.planning import find_policy
 from roboneuron.plugins.registry import Offer, Registry, Status
 from roboneuron.plugins.specs import BackendSpec, CameraSpec, DriverSpec, RobotSpec, RuntimeSpec
 
@@ -134,6 +134,7 @@ def test_a_preset_changed_in_place_gives_the_numbers_of_a_fresh_load(tinies, fam
         assert np.array_equal(chunk.actions, fresh[name].actions), name
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("family", ["openvla", "oft"])
 def test_50_changes_read_no_file_and_hold_no_more_memory(tinies, family, monkeypatch):
     import torch

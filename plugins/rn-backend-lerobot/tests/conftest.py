@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import json
 import shutil
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from lerobot_folders import ARM, DATA, write_tensors
 
 from roboneuron import CameraProfile, GripperProfile, RobotProfile
-
-sys.path.insert(0, str(Path(__file__).parent))  # lerobot_folders.py is beside the tests
-from lerobot_folders import ARM, DATA, write_tensors
 
 Edit = Callable[[dict[str, Any]], None]
 

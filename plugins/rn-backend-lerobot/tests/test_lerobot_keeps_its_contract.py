@@ -6,7 +6,7 @@ import functools
 
 import pytest
 
-from rn_testing import BackendCase, BackendContract, PackageCase, PackageContract
+from rn_testing import BackendCase, BackendContract
 from roboneuron.plugins.availability import is_importable
 
 
@@ -25,9 +25,3 @@ class TestLeRobot(BackendContract):
     @pytest.fixture
     def plugin(self) -> BackendCase:
         return _case()
-
-
-class TestLeRobotPackage(PackageContract):
-    @pytest.fixture
-    def plugin(self) -> PackageCase:
-        return PackageCase(distribution="rn-backend-lerobot")

@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from rn_backend_oft.case import oft_case, oft_pair_case, oft_primary_case
-from rn_testing import BackendCase, BackendContract, PackageCase, PackageContract
+from rn_testing import BackendCase, BackendContract
 
 
 # all rules: TestOftPair, whose backend derives from this one
@@ -25,9 +25,3 @@ class TestOftPair(BackendContract):
     @pytest.fixture
     def plugin(self) -> BackendCase:
         return oft_pair_case()
-
-
-class TestOftPackage(PackageContract):
-    @pytest.fixture
-    def plugin(self) -> PackageCase:
-        return PackageCase(distribution="rn-backend-oft")

@@ -22,7 +22,6 @@ from rn_backend_oft.space import oft_space
 from rn_backend_oft.tiny import make_tiny_oft
 from rn_runtime_torch.config import TorchRuntimeConfig
 from rn_runtime_torch.runtime import TorchRuntime
-from rn_standard.inference.agreement import agree
 from rn_vla.openvla.checkpoint import OpenvlaCheckpoint
 from rn_vla.openvla.statistics import Scaling, VectorStatistics
 from rn_vla.openvla.tiny import random_values
@@ -41,6 +40,7 @@ from roboneuron import (
     RobotProfile,
     UngroundedError,
 )
+from roboneuron.modules.inference.agreement import agree
 
 ARM = tuple(f"joint{i}" for i in range(1, 7))
 ROBOT = RobotProfile(name="six", arm_joints=ARM)

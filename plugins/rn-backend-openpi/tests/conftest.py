@@ -3,24 +3,20 @@
 from __future__ import annotations
 
 import ssl
-import sys
 import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from pathlib import Path
 from typing import Any
 
 import msgpack
 import numpy as np
 import pytest
-from websockets.exceptions import ConnectionClosed
-from websockets.sync.server import Server, ServerConnection, serve
-
-sys.path.append(str(Path(__file__).parent))  # for openpi_format and openpi_clients
 from openpi_clients import TIMEOUT_S
 from openpi_format import decode, encode
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.server import Server, ServerConnection, serve
 
 from rn_backend_openpi.options import OpenpiOptions
 

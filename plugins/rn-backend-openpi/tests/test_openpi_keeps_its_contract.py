@@ -16,16 +16,12 @@ from pydantic import ValidationError
 from rn_backend_openpi.case import openpi_case
 from rn_backend_openpi.interface import layout_of
 from rn_backend_openpi.options import OpenpiOptions
-from rn_backend_openpi.plugin import BACKEND, COMMAND
+from rn_backend_openpi.plugin import BACKEND
 from rn_backend_openpi.profiles import PRESETS
 from rn_backend_openpi.server_options import ServerOptions
 from rn_testing import (
     BackendCase,
     BackendContract,
-    CommandCase,
-    CommandContract,
-    PackageCase,
-    PackageContract,
 )
 from roboneuron.contract import Observation
 
@@ -52,22 +48,6 @@ class TestOwnServer(BackendContract):
     @pytest.fixture
     def plugin(self) -> BackendCase:
         return openpi_case()
-
-
-class TestCommand(CommandContract):
-    """The server's command."""
-
-    @pytest.fixture
-    def plugin(self) -> CommandCase:
-        return CommandCase(spec=COMMAND)
-
-
-class TestPackage(PackageContract):
-    """The distribution as installed."""
-
-    @pytest.fixture
-    def plugin(self) -> PackageCase:
-        return PackageCase(distribution="rn-backend-openpi")
 
 
 def test_the_readme_names_every_option_and_profile_and_its_examples_are_valid() -> None:

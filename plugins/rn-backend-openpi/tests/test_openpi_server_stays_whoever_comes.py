@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import re
 import socket
-import threading
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
@@ -22,17 +21,16 @@ from openpi_clients import (
     STATE,
     ask,
     open_client,
-    options_of,
     served,
 )
 from openpi_format import encode
 from websockets.exceptions import ConnectionClosed, InvalidStatus
-from websockets.sync.client import ClientConnection, connect
+from websockets.sync.client import connect
 
 from rn_backend_openpi.case import Reflex, serving
 from rn_backend_openpi.options import OpenpiOptions
 from rn_testing.waiting import is_closed
-from roboneuron import ActionChunk, Observation
+from roboneuron import ActionChunk
 
 
 def test_more_clients_than_may_are_refused_and_a_place_that_is_left_is_free_again() -> None:
@@ -50,59 +48,6 @@ def test_more_clients_than_may_are_refused_and_a_place_that_is_left_is_free_agai
                 break
             except InvalidStatus:
                 assert time.monotonic() < deadline_s
-
-
-def test_a_client_that_takes_all_places_keeps_nobody_out() -> None:
-    with served(clients=4) as url, ExitStack() as opened:
-        many = [
-            opened.enter_context(open_client(url, source_address=("127.0.0.2", 0)))
-            for _ in range(4)
-        ]
-        with pytest.raises(InvalidStatus):
-            open_client(url, source_address=("127.0.0.2", 0))
-        one = opened.enter_context(open_client(url))
-        assert "actions" in ask(one)
-        with pytest.raises(ConnectionClosed):
-            ask(many[-1])
-        assert "actions" in ask(many[0])
-
-
-class SlowReflex(Reflex):
-    """Takes 20 ms for each observation, one after the other."""
-
-    most = 1
-
-    def predict(self, observation: Observation) -> ActionChunk:
-        time.sleep(0.02)
-        return super().predict(observation)
-
-
-def test_a_client_with_many_connections_gets_no_more_answers_than_one() -> None:
-    answered = {"127.0.0.1": 0, "127.0.0.2": 0}
-    lock, all_ask = threading.Lock(), threading.Barrier(16, timeout=60.0)
-    with serving(options_of(clients=64), SlowReflex(step_s=0.05)) as url, ExitStack() as opened:
-        threads = []
-
-        def keep_asking(address: str, client: ClientConnection) -> None:
-            assert "actions" in ask(client)
-            all_ask.wait()
-            while sum(answered.values()) < 80:
-                assert "actions" in ask(client)
-                with lock:
-                    answered[address] += 1
-
-        for address in ["127.0.0.2"] * 15 + ["127.0.0.1"]:
-            client = opened.enter_context(open_client(url, source_address=(address, 0)))
-            threads.append(threading.Thread(target=keep_asking, args=(address, client)))
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join(60.0)
-    one, many = answered.values()
-    assert one + many >= 80
-    # equal except for the time between two of its requests; counted by connections it would be 15
-    # times
-    assert many < 3 * one, answered
 
 
 NAN = STATE.copy()
@@ -128,9 +73,9 @@ for _ in range(40):
         ({**REQUEST, "observation/state": NAN}, "UnsafeError"),
         ({**REQUEST, "observation/state": np.zeros(3)}, "expected \\(8,\\)"),
         ({**REQUEST, "observation/image": GREY[..., 0]}, "no uint8 array"),
-        ({**REQUEST, "roboneuron/time_left_s": -1.0}, "expected seconds"),
-        ({**REQUEST, "roboneuron/time_left_s": float("nan")}, "not finite"),
-        ({**REQUEST, "roboneuron/time_left_s": 0.0}, "NotReadyError"),
+        ({**REQUEST, "roboneuron": {"left_s": -1.0}}, "left_s is -1"),
+        ({**REQUEST, "roboneuron": {"left_s": float("nan")}}, "not finite"),
+        ({**REQUEST, "roboneuron": {"left_s": 0.0}}, "NotReadyError"),
         (
             {
                 **REQUEST,
@@ -171,7 +116,7 @@ def test_garbage_ends_its_own_connection_and_no_other(request_: Any, word: str) 
 
 
 def test_a_frame_that_is_too_large_is_not_read(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rn_backend_openpi.server.MOST_BYTES", 2**20)
+    monkeypatch.setattr("rn_backend_shared.listener.MOST_BYTES", 2**20)
     with served() as url, open_client(url) as good:
         with open_client(url) as bad:
             with suppress(ConnectionClosed):
@@ -193,9 +138,10 @@ def test_random_bytes_before_the_handshake_disturb_nobody() -> None:
         assert ask(good)["actions"].shape == (4, 7)
 
 
+@pytest.mark.exhaustive
 def test_many_who_say_nothing_keep_nobody_out(monkeypatch: pytest.MonkeyPatch) -> None:
     # so that none of them times out before the others are answered
-    monkeypatch.setattr("rn_backend_openpi.server._HANDSHAKE_S", 120.0)
+    monkeypatch.setattr("rn_backend_shared.listener.HANDSHAKE_S", 120.0)
     with served(clients=4) as url, ExitStack() as opened:
         good = opened.enter_context(open_client(url))
         address = ("127.0.0.1", int(url.rsplit(":", 1)[1]))
@@ -213,10 +159,10 @@ def test_many_who_say_nothing_keep_nobody_out(monkeypatch: pytest.MonkeyPatch) -
 class Wide(Reflex):
     """Answers with more numbers than a socket buffer holds."""
 
+    chunk = ActionChunk(actions=np.full((80_000, 7), 0.5), step_s=0.1)
+
     def answer(self, observations: Any) -> Any:
-        chunks = super().answer(observations)
-        rows = np.tile(chunks[0].actions, (20_000, 1))
-        return [ActionChunk(actions=rows, step_s=0.1) for _ in observations]
+        return [self.chunk for _ in observations]
 
 
 PLAIN = msgpack.packb(
@@ -242,15 +188,14 @@ def _reading_nothing(url: str) -> Iterator[None]:
 
 
 def test_a_client_that_does_not_read_holds_nobody_up() -> None:
-    # waiting for it would take a minute
+    # waiting for it would take a minute, `ask` waits for a part of that
     options = OpenpiOptions(profile="roboneuron", server={"send_timeout_s": 60.0})
     with serving(options, Wide()) as url, _reading_nothing(url), open_client(url) as good:
-        start = time.monotonic()
         for _ in range(3):
             assert ask(good, PLAIN)["actions"].shape == (80_000, 7)
-        assert time.monotonic() - start < 30.0
 
 
+@pytest.mark.exhaustive
 def test_a_client_that_does_not_read_is_dropped(caplog: pytest.LogCaptureFixture) -> None:
     options = OpenpiOptions(profile="roboneuron", server={"send_timeout_s": 0.3, "clients": 1})
     with serving(options, Wide()) as url, _reading_nothing(url):

@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from rn_backend_openvla.case import openvla_case, openvla_tcp_case
-from rn_testing import BackendCase, BackendContract, PackageCase, PackageContract
+from rn_testing import BackendCase, BackendContract
 
 
 class TestOpenVla(BackendContract):
@@ -17,9 +17,3 @@ class TestOpenVlaTcp(BackendContract):
     @pytest.fixture
     def plugin(self) -> BackendCase:
         return openvla_tcp_case()
-
-
-class TestOpenVlaPackage(PackageContract):
-    @pytest.fixture
-    def plugin(self) -> PackageCase:
-        return PackageCase(distribution="rn-backend-openvla")

@@ -19,9 +19,8 @@ import pytest
 from rn_backend_pi0.chunking import Prefix, RunningChunk, guidance_weights, prefix_weights
 from rn_backend_pi0.conversion import TcpConversion
 from rn_backend_pi0.layouts import read_checkpoint
-from rn_backend_pi0.model import Pi0Model
+from rn_backend_pi0.model import Pi0Model, flow_times
 from rn_backend_pi0.native import Pi0Backend
-from rn_backend_pi0.numerics import flow_times
 from rn_backend_pi0.options import Pi0Options
 from roboneuron.contract import Ahead, Observation
 

@@ -12,8 +12,7 @@ import torch
 
 from rn_backend_pi0.image import resize_plain, to_pixels
 from rn_backend_pi0.layouts import read_checkpoint
-from rn_backend_pi0.model import Pi0Model
-from rn_backend_pi0.numerics import flow_times
+from rn_backend_pi0.model import Pi0Model, flow_times
 from rn_vla.letterbox import fit_antialiased
 
 Arrays = dict[str, np.ndarray]

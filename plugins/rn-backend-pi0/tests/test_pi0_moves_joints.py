@@ -19,7 +19,6 @@ from rn_backend_pi0.plugin import roboneuron_backends
 from rn_backend_pi0.profiles import JOINT_PROFILES
 from rn_backend_pi0.space import pi0_space
 from rn_backend_pi0.tiny import make_tiny
-from rn_standard.inference.agreement import agree
 from roboneuron import (
     EE_DELTA,
     SPACE_KINDS,
@@ -36,6 +35,7 @@ from roboneuron import (
     RobotProfile,
     UngroundedError,
 )
+from roboneuron.modules.inference.agreement import agree
 
 Observe = Callable[..., Observation]
 

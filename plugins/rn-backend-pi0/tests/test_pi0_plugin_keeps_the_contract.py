@@ -18,7 +18,7 @@ from rn_backend_pi0.case import ROW_TOLERANCE, fast_case
 from rn_backend_pi0.options import Pi0FastOptions, Pi0Options
 from rn_backend_pi0.plugin import roboneuron_backends
 from rn_backend_pi0.profiles import JOINT_PROFILES
-from rn_testing import BackendCase, BackendContract, PackageCase, PackageContract
+from rn_testing import BackendCase, BackendContract
 from rn_vla.tcp_profiles import PROFILES
 from roboneuron.contract import Observation
 from roboneuron.plugins.specs import BackendSpec
@@ -50,14 +50,6 @@ class TestFast(BackendContract):
     @pytest.fixture
     def plugin(self) -> BackendCase:
         return made_fast_case()
-
-
-class TestPackage(PackageContract):
-    """The distribution as installed."""
-
-    @pytest.fixture
-    def plugin(self) -> PackageCase:
-        return PackageCase(distribution="rn-backend-pi0")
 
 
 def test_the_readme_names_every_option_and_profile_and_its_examples_are_valid() -> None:

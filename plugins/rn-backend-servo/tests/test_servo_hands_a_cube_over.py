@@ -22,12 +22,11 @@ from rn_robot_fr3.profile import pair_profile
 from rn_robot_fr3.profile import profile as single_profile
 from rn_robot_fr3.simulation import STEP_S, ArmSimulation
 from rn_simulation.engine import ENGINES
-from rn_standard.inference.agreement import agree
-from rn_standard.sight.view import matrix_of
 from rn_testing import BackendCase, BackendContract, effects
 from rn_testing.rule import RuleVerdict
 from rn_testing.rules import RULES
 from rn_testing.verification import verify
+from roboneuron import matrix_of
 from roboneuron.config import LimitsConfig
 from roboneuron.contract import (
     ActionChunk,
@@ -39,6 +38,7 @@ from roboneuron.contract import (
 )
 from roboneuron.errors import InvalidInputError, UngroundedError
 from roboneuron.gate.motion import MotionLimiter, motion_rules
+from roboneuron.modules.inference.agreement import agree
 from roboneuron.plugins.availability import is_importable
 
 MEMORY = next(rule for rule in RULES["backend"] if rule.id == "backend/memory-bounded")
@@ -136,6 +136,7 @@ class TestServoPair(BackendContract):
         return pair_case()
 
 
+@pytest.mark.exhaustive
 def test_its_memory_is_judged_on_a_quick_machine_too(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where `predict` is quick, the rule calls it more often than one episode takes."""
     monkeypatch.setattr(effects, "QUICK_S", 60.0)
@@ -143,6 +144,7 @@ def test_its_memory_is_judged_on_a_quick_machine_too(monkeypatch: pytest.MonkeyP
     assert outcome.verdict is RuleVerdict.PASSED, outcome
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("engine", TRIED)
 def test_a_cube_goes_from_the_left_hand_to_the_right(engine: str) -> None:
     with ArmSimulation(3, engine=engine, cell=PAIR) as simulation:  # type: ignore[arg-type]

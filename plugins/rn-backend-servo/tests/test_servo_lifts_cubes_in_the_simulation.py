@@ -111,6 +111,7 @@ def test_named_cube_is_lifted_then_put_down_for_another(cell: Cell) -> None:
     assert cell.simulation.cubes()["red"].lifted_m < 0.005
 
 
+@pytest.mark.exhaustive
 def test_cube_that_is_moved_away_at_the_last_moment_is_found_again(cell: Cell) -> None:
     def is_about_to_grasp(chunk: ActionChunk) -> bool:
         return (

@@ -10,14 +10,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rn_backend_servo.backend import ServoBackend
+from rn_backend_servo.backend import ServoBackend, pose_after, rows_done
 from rn_backend_servo.case import contract_case, observe, paint_table
-from rn_backend_servo.chunk import pose_after, rows_done
 from rn_backend_servo.options import ServoOptions
-from rn_standard.execution.adaptive import AdaptiveExecutor
-from rn_standard.execution.mode import Abilities
-from rn_standard.inference.execution import Bounds, Prediction
 from roboneuron.contract import ActionChunk, Ahead, Observation
+from roboneuron.modules.execution.adaptive import AdaptiveExecutor
+from roboneuron.modules.execution.mode import Abilities
+from roboneuron.modules.inference.execution import Bounds, Prediction
 
 CUBE_M = (0.5, -0.1)
 ROWS = 12
@@ -122,6 +121,7 @@ class Arm:
 
 
 @pytest.mark.parametrize("latency_s", [0.1, 0.3])
+@pytest.mark.sampled(every=2)
 def test_the_arm_keeps_10_hz_while_answers_are_late(servo: ServoBackend, latency_s: float) -> None:
     """Images one period old and a late answer: every period has a row until the cube is held."""
     arm = Arm()

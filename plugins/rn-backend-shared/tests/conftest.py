@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
-sys.path.append(str(Path(__file__).parent))  # for policy_servers and alike
-sys.path.append(str(Path(__file__).parents[2] / "rn-link" / "tests"))  # for link_machines
-
 import os
 import signal
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import ExitStack
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -99,7 +95,7 @@ def served(tmp_path: Path) -> Iterator[Robot]:
 
         def make(**options: Any) -> SharedBackend:
             made = SharedOptions.model_validate(options_in(tmp_path, **options))
-            path = tmp_path / "run" / f"{made.identity()}-0.sock"
+            path = tmp_path / "run" / f"{made.identity()}.sock"
             if path not in started:
                 server = SharedModelServer(made, path, None)
                 started[path] = threading.Thread(target=server.run)

@@ -1,6 +1,5 @@
-"""A man in the middle of a TCP connection that records frames and replays them: frames of the
-protocol of shared models, or TLS records, the only units that can be distinguished on encrypted
-connections.
+"""A man in the middle of a TCP connection that records frames and replays them: frames of a
+websocket, or TLS records, the only units that can be distinguished on encrypted connections.
 """
 
 from __future__ import annotations
@@ -8,14 +7,18 @@ from __future__ import annotations
 import socket
 import threading
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from typing import Any
 
-from rn_backend_shared.frames import HEADER_BYTES, read_header
+from websockets.frames import Frame, Opcode
+
+from rn_backend_shared.wire import pack, unpack
 
 _TLS_HEADER, _TLS_KINDS = 5, range(20, 25)
 _MOST = 1 << 16
+_HANDSHAKES = (b"GE", b"HT")
 Cut = Callable[[socket.socket], bytes]
 Send = Callable[["Recording", bytes], Sequence[bytes]]
 """Returns what is sent instead of a frame; called with the recording of its connection."""
@@ -50,9 +53,36 @@ def _whole(source: socket.socket, count: int) -> bytes:
 
 
 def plain_frame(source: socket.socket) -> bytes:
-    """The next frame of the protocol of shared models. Raises OSError at the end."""
-    head = _whole(source, HEADER_BYTES)
-    return head + _whole(source, read_header(head).body_bytes)
+    """The next frame of a websocket, or the head of its handshake. Raises OSError at the end."""
+    head = _whole(source, 2)
+    if head in _HANDSHAKES:
+        while not head.endswith(b"\r\n\r\n"):
+            head += _whole(source, 1)
+        return head
+    more = {126: 2, 127: 8}.get(head[1] & 0x7F, 0)
+    head += _whole(source, more)
+    size = int.from_bytes(head[2:], "big") if more else head[1] & 0x7F
+    return head + _whole(source, size + (4 if head[1] & 0x80 else 0))
+
+
+def message_of(frame: bytes) -> dict[str, Any]:
+    """The message in a frame, by its keys; empty for anything else."""
+    if frame[:2] in _HANDSHAKES or frame[0] != 0x82:
+        return {}
+    is_masked = bool(frame[1] & 0x80)
+    start = {126: 4, 127: 10}.get(frame[1] & 0x7F, 2)
+    data = frame[start:]
+    if is_masked:
+        key, data = data[:4], data[4:]
+        data = bytes(byte ^ key[place % 4] for place, byte in enumerate(data))
+    found = unpack(data)
+    assert isinstance(found, dict)
+    return {str(key): value for key, value in found.items()}
+
+
+def frame_of(message: Mapping[str, object]) -> bytes:
+    """A server's frame with a message."""
+    return bytes(Frame(Opcode.BINARY, pack(message)).serialize(mask=False))
 
 
 def tls_record(source: socket.socket) -> bytes:

@@ -13,7 +13,6 @@ import ssl
 import subprocess
 import sys
 import tempfile
-import threading
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
@@ -29,8 +28,8 @@ from rn_backend_shared.backend import SharedBackend
 from rn_backend_shared.case import install, options_in
 from rn_backend_shared.options import SharedOptions
 from rn_backend_shared.plugin import BACKEND
-from rn_backend_shared.processes import ask_status
 from rn_backend_shared.serve_command import name_of
+from rn_backend_shared.status_page import ask_status
 from rn_link.certificates import new_key, read_certificate
 from rn_link.machine import PORT, Peer
 from rn_link.machine import Machine as LinkMachine
@@ -244,19 +243,6 @@ def fail_accepts(monkeypatch: pytest.MonkeyPatch, *numbers: int) -> None:
     monkeypatch.setattr(socket.socket, "accept", failing)
 
 
-def fail_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let the next thread of a robot not be started."""
-    start = threading.Thread.start
-    errors = [RuntimeError("can't start new thread")]
-
-    def failing(thread: threading.Thread) -> None:
-        if thread.name == "robot" and errors:
-            raise errors.pop()
-        start(thread)
-
-    monkeypatch.setattr(threading.Thread, "start", failing)
-
-
 def said_to(port: int, sent: bytes, context: ssl.SSLContext | None = None) -> bytes:
     """Bytes that an unknown peer receives until the server closes the connection."""
     heard = b""
@@ -265,8 +251,6 @@ def said_to(port: int, sent: bytes, context: ssl.SSLContext | None = None) -> by
         connected = context.wrap_socket(connected)
     with connected, suppress(OSError):
         connected.sendall(sent)
-        if context is None:  # otherwise the server waits for more until its time limit
-            connected.shutdown(socket.SHUT_WR)
         while part := connected.recv(4096):
             heard += part
     return heard

@@ -4,16 +4,15 @@ served again soon afterwards, by itself.
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Sequence
 from contextlib import closing, suppress
 from typing import Any
 
 import pytest
-from middle_man import MiddleMan, Recording, Send, plain_frame
+from middle_man import MiddleMan, Recording, Send, frame_of, message_of, plain_frame
 from policy_servers import SEEN, RunningServer, robot_of
 
-from rn_backend_shared.frames import HEADER_BYTES, FrameKind, Header, encode, read_header
+from rn_backend_shared.messages import RESERVED
 from rn_testing.waiting import wait_until
 from roboneuron import NotReadyError, RoboNeuronError
 
@@ -24,43 +23,40 @@ busy machine.
 """
 
 
-def with_header(frame: bytes, **changes: Any) -> bytes:
-    """The frame with another header, whose sizes need not fit."""
-    return read_header(frame[:HEADER_BYTES])._replace(**changes).pack() + frame[HEADER_BYTES:]
+def changed(frame: bytes, **own: Any) -> bytes:
+    """The frame with other values at `RESERVED`."""
+    message = message_of(frame)
+    return frame_of({**message, RESERVED: {**message.get(RESERVED, {}), **own}})
 
 
-def with_document(frame: bytes, document: dict[str, Any]) -> bytes:
-    """The frame with another document."""
-    header: Header = read_header(frame[:HEADER_BYTES])
-    return b"".join(bytes(part) for part in encode(header, document))
+def greeting(frame: bytes, **own: Any) -> list[bytes]:
+    """A first message with other values; answers are swallowed, so that the robot connects anew."""
+    is_first = "state" in message_of(frame).get(RESERVED, {})
+    return [changed(frame, **own)] if is_first else []
 
 
 GARBAGE: dict[str, Send] = {
     "text": lambda _, frame: [b"HTTP/1.1 400 Bad Request\r\n\r\n" * 5],
     "bytes": lambda _, frame: [bytes(byte ^ 0xFF for byte in frame)],
     "nothing": lambda _, frame: [],
-    "half a header": lambda _, frame: [frame[:7]],
+    "half a header": lambda _, frame: [frame[:3]],
     "half a frame": lambda _, frame: [frame[:-3]],
-    "a long body that does not come": lambda _, frame: [with_header(frame, array_bytes=1 << 26)],
-    "sizes beyond the limits": lambda _, frame: [
-        frame[: HEADER_BYTES - 8] + struct.pack("!II", 1 << 31, 1 << 31)
+    "a long message that does not come": lambda _, frame: [
+        b"\x82\x7f" + (1 << 26).to_bytes(8, "big")
     ],
-    "another version": lambda _, frame: [frame[:4] + b"\x7f" + frame[5:]],
-    "another kind": lambda _, frame: [with_header(frame, kind=FrameKind.STATUS)],
-    "another number": lambda _, frame: [with_header(frame, number=77)],
-    "another time": lambda _, frame: [with_header(frame, clock_ns=5)],
+    "a size beyond the limits": lambda _, frame: [b"\x82\x7f" + (1 << 62).to_bytes(8, "big")],
+    "another version": lambda _, frame: greeting(frame, protocol=77),
+    "another number": lambda _, frame: [changed(frame, number=77)],
+    "another time": lambda _, frame: [changed(frame, clock_ns=5)],
     "a frame twice": lambda _, frame: [frame, frame],
-    "no JSON": lambda _, frame: [
-        with_header(frame[:HEADER_BYTES], document_bytes=4, array_bytes=0) + b"nope"
-    ],
-    "deep JSON": lambda _, frame: [
-        with_header(frame[:HEADER_BYTES], document_bytes=60_000, array_bytes=0) + b"[" * 60_000
-    ],
-    "an empty document": lambda _, frame: [with_document(frame, {})],
+    "no message": lambda _, frame: [b"\x82\x04nope"],
+    "deep lists": lambda _, frame: [b"\x82\x7e" + (60_000).to_bytes(2, "big") + b"\x91" * 60_000],
+    "an empty message": lambda _, frame: [frame_of({})],
+    "words": lambda _, frame: [b"\x81\x04nope"],
     "a failure without words": lambda _, frame: [
-        with_document(frame, {"state": "failed", "pid": 1, "error": {"code": 3}})
+        changed(frame, state="failed", pid=1, error={"code": 3})
     ],
-    "a model that loads": lambda _, frame: [with_document(frame, {"state": "loading", "pid": 1})],
+    "a model that loads": lambda _, frame: greeting(frame, state="loading", pid=1),
 }
 
 

@@ -34,19 +34,26 @@ class Model:
             raise self.fails
         return [ActionChunk(actions=ROW, step_s=0.1, metrics={"own": 1.0}) for _ in observations]
 
-    def ask(self, name: str, within_s: float = 10.0) -> None:
+    def ask(self, name: str, within_s: float = 10.0, connection: object = None) -> None:
         seen = Observation(frames={}, instruction=name)
         tell = lambda answer: self.answers.__setitem__(name, answer)  # noqa: E731
-        self.batcher.submit(Waiting(observation=seen, deadline_s=self.now_s + within_s, tell=tell))
+        self.batcher.submit(
+            Waiting(
+                observation=seen,
+                deadline_s=self.now_s + within_s,
+                tell=tell,
+                connection=connection,
+            )
+        )
 
 
-def test_what_waits_is_answered_together_the_earliest_deadline_first() -> None:
+def test_what_waits_is_answered_together_in_the_order_in_which_it_came() -> None:
     model = Model()
     for name, within_s in (("d", 5.0), ("b", 3.0), ("e", 6.0), ("a", 2.0), ("c", 4.0)):
         model.ask(name, within_s)
     model.batcher.step()
     model.batcher.step()
-    assert model.batches == [["a", "b", "c", "d"], ["e"]]
+    assert model.batches == [["d", "b", "e", "a"], ["c"]]
     chunk = model.answers["a"]
     assert isinstance(chunk, ActionChunk)
     assert chunk.metrics == {
@@ -107,6 +114,33 @@ def test_the_queue_is_bounded() -> None:
     assert isinstance(model.answers["b"], NotReadyError)
     with pytest.raises(NotReadyError):
         model.ask("d")
+
+
+def test_a_robot_has_one_place_in_the_queue() -> None:
+    model = Model(most=1, waiting=3)
+    for number in range(20):
+        model.ask(f"greedy {number}", connection="greedy")
+    model.ask("a", connection="one")
+    model.ask("b", connection="other")
+    for number in range(3):
+        model.batcher.step()
+        model.ask(f"again {number}", connection="greedy")
+    assert model.batches == [["greedy 19"], ["a"], ["b"]]
+    assert isinstance(model.answers["greedy 18"], NotReadyError)
+    assert isinstance(model.answers["again 1"], NotReadyError)
+
+
+def test_one_hasty_robot_shrinks_no_batch_but_its_own() -> None:
+    model = Model(took_s=0.1, each_s=0.1)
+    for name in "abc":
+        model.ask(name)
+    model.batcher.step()  # 0.4 s
+    model.ask("hasty", within_s=0.3)
+    model.ask("hastier", within_s=0.35)
+    model.ask("patient")
+    model.batcher.step()
+    model.batcher.step()
+    assert model.batches[1:] == [["hasty", "hastier"], ["patient"]]
 
 
 @pytest.mark.parametrize(

@@ -12,14 +12,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from link_fault_judge import LOCAL, REMOTE, STEP_M, TAIL_AGE_S, Judge, Row
+from link_faults import Trial
 from link_machines import impossible
 
 SCRIPT = Path(__file__).parents[3] / "benchmarks" / "bench_link_faults.py"
-sys.path.insert(0, str(SCRIPT.parent))
-from link_fault_judge import LOCAL, REMOTE, STEP_M, TAIL_AGE_S, Judge, Row  # noqa: E402
-from link_faults import Trial  # noqa: E402
-
-sys.path.pop(0)
 CHOSEN = (1, 15, 22, 49)
 """A replayed answer, garbage with a fallback, a killed server with a fallback, and records of
 requests that a man in the middle sends twice.

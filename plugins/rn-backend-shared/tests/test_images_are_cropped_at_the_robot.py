@@ -20,8 +20,8 @@ from rn_backend_shared import coding as coding_module
 from rn_backend_shared.backend import SharedBackend
 from rn_backend_shared.case import install, options_in
 from rn_backend_shared.coding import Coder
-from rn_backend_shared.frames import Document
 from rn_backend_shared.images import crop, decode_image
+from rn_backend_shared.messages import RESERVED, Document
 from rn_backend_shared.options import SharedOptions
 from rn_backend_shared.plugin import BACKEND
 from rn_testing.fakes.backend import make_observation
@@ -138,6 +138,7 @@ def test_an_image_that_does_not_hold_the_crop_is_an_error_of_that_robot(
     assert one.predict(seen())
 
 
+@pytest.mark.exhaustive
 def test_a_server_of_this_machine_crops_too(tmp_path: Path) -> None:
     install(tmp_path)
     given = options_in(tmp_path, idle_s=0.5, crop={"primary": RECTANGLE})
@@ -173,9 +174,8 @@ def test_what_is_cropped_as_the_server_says_is_asked_once() -> None:
     asked: list[tuple[int, ...]] = []
 
     def ask(document: Document, deadline_s: float) -> ActionChunk:
-        frame = document["frames"]["primary"]
-        asked.append(decode_image(frame["image"]).shape)
-        assert frame["cropped"] is True
+        asked.append(decode_image(document["observation/image"]).shape)
+        assert document[RESERVED]["frames"]["primary"]["cropped"] is True
         rows = np.full((2, 7), 0.01)
         return ActionChunk(actions=rows, step_s=0.1, metrics={"shared.link_ms": 1.0})
 

@@ -16,7 +16,6 @@ from policy_servers import (
     said_to,
 )
 
-from rn_backend_shared.frames import VERSION, FrameKind, Header
 from rn_backend_shared.options import ListenOptions, SharedOptions
 from rn_backend_shared.security import Guard, is_loopback, place_of
 from rn_link.certificates import issue, key_to_pem, new_issuer, new_key, to_pem, write_private
@@ -58,7 +57,7 @@ def test_a_machine_that_is_removed_is_cut_off_at_both_ends(
     assert not answers(one)
 
 
-def test_a_token_admits_and_a_wrong_one_is_not_answered(
+def test_a_token_admits_and_a_wrong_one_is_refused(
     serve: Serve, robot: Robot, tmp_path: Path
 ) -> None:
     server = serve(keys="token")
@@ -66,14 +65,25 @@ def test_a_token_admits_and_a_wrong_one_is_not_answered(
     assert token.stat().st_mode & 0o777 == 0o600
     assert answers(robot(server.address, token_file=str(token)))
     port = server.port
-    for wrong in ('"x"', '""', "null", "7", '"' + "x" * 3000 + '"'):
-        text = f'[{{"token": {wrong}}}, []]'.encode()
-        assert said_to(port, Header(FrameKind.HELLO, document_bytes=len(text)).pack() + text) == b""
-    newer = bytearray(Header(FrameKind.HELLO).pack())
-    newer[4] = VERSION + 1
-    assert said_to(port, bytes(newer)) == b""
-    assert said_to(port, Header(FrameKind.HELLO, array_bytes=5000).pack()) == b""
-    assert said_to(port, Header(FrameKind.STATUS).pack()) == b""
+    for wrong in (
+        "",
+        "x",
+        "Api-Key",
+        "Api-Key x",
+        "Bearer " + token.read_text().strip(),
+        "x" * 3000,
+    ):
+        head = f"GET / HTTP/1.1\r\nHost: x\r\nAuthorization: {wrong}\r\n"
+        upgrade = "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
+        key = "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n"
+        heard = said_to(port, (head + upgrade + key).encode())
+        assert heard.startswith(b"HTTP/1.1 401 ")
+        assert heard.endswith(b"\r\n\r\n"), "no word about the server"
+    assert not said_to(port, b"GET /status HTTP/1.1\r\nHost: x\r\n\r\n").startswith(b"HTTP/1.1 2")
+    (tmp_path / "other").write_text("y" * 32)
+    (tmp_path / "other").chmod(0o600)
+    with pytest.raises(ConfigurationError, match="refuses the token"):
+        robot(server.address, token_file=str(tmp_path / "other"))
 
 
 def test_a_token_is_not_sent_in_clear(tmp_path: Path) -> None:
@@ -117,6 +127,7 @@ def test_machines_that_are_not_paired_are_told_to_pair(
         Guard(ListenOptions())
 
 
+@pytest.mark.exhaustive
 def test_a_token_goes_over_tls_where_the_servers_certificate_is_known(
     serve: Serve, robot: Robot, tmp_path: Path
 ) -> None:

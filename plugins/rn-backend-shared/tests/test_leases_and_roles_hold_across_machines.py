@@ -133,7 +133,7 @@ class Lab:
 
     def inference(self, agent: FarAgent) -> dict[str, Any]:
         """Status of the inference module."""
-        modules = agent.do("get_status")["modules"]
+        modules = agent.do("get_status", details=True)["modules"]
         found: dict[str, Any] = next(one for one in modules if one["module"] == "inference")
         return found
 

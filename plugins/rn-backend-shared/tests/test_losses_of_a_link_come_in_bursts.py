@@ -5,16 +5,11 @@ bursts.
 from __future__ import annotations
 
 import random
-import sys
 from itertools import groupby
-from pathlib import Path
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[3] / "benchmarks"))
 from slow_cable import Link, Losses
 
-sys.path.pop(0)
 STEP_S, STEPS = 0.001, 1_000_000
 
 

@@ -82,6 +82,7 @@ def test_a_model_that_hangs_costs_no_more_than_the_deadline(serve: Serve, robot:
 
 
 @pytest.mark.parametrize("how", ["killed", "frozen"])
+@pytest.mark.sampled(every=2)
 def test_a_server_that_goes_is_found_again_and_nobody_waits_beyond_a_deadline(
     serve: Serve, robot: Robot, how: str
 ) -> None:
@@ -105,6 +106,7 @@ def test_a_server_that_goes_is_found_again_and_nobody_waits_beyond_a_deadline(
     wait_until(lambda: answers(one), 60.0, "the robot is back by itself")
 
 
+@pytest.mark.exhaustive
 def test_why_a_model_cannot_be_loaded_is_told_to_robots_and_in_the_status(
     serve: Serve, robot: Robot, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -131,6 +133,7 @@ def test_why_a_model_cannot_be_loaded_is_told_to_robots_and_in_the_status(
     assert "No policy server" in capsys.readouterr().err
 
 
+@pytest.mark.exhaustive
 def test_a_server_that_ends_ends_its_models_even_when_it_is_killed(serve: Serve) -> None:
     server = serve({"a": {}, "b": {}})
     pids = [model["pid"] for model in server.status()["models"].values()]

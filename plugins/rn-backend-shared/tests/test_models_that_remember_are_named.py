@@ -9,10 +9,9 @@ import pytest
 
 from rn_backend_servo.case import contract_case
 from rn_backend_shared.coding import Coder
-from rn_backend_shared.frames import Document
+from rn_backend_shared.messages import Document, to_observation
 from rn_backend_shared.options import SharedOptions
 from rn_backend_shared.plugin import BACKEND
-from rn_backend_shared.wire import to_observation
 from rn_testing.fakes.backend import make_observation
 from roboneuron import (
     ActionChunk,

@@ -27,7 +27,7 @@ Numbers = dict[tuple[str, frozenset[tuple[str, str]]], float]
 def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningServer]:
     folder = tmp_path_factory.mktemp("served")
     listen = {"keys": "token", "token_file": str(folder / "token"), "metrics_port": 0}
-    made = RunningServer(folder, {"one": {"replicas": 2}, "other": {}}, listen)
+    made = RunningServer(folder, {"one": {}, "other": {}}, listen)
     try:
         yield made.start()
     finally:
@@ -50,44 +50,36 @@ def found(numbers: Numbers, name: str, **labels: str) -> float:
 
 
 def test_requests_times_and_robots_are_told_by_model(server: RunningServer) -> None:
-    wait_until(lambda: found(read(server), "ready", model="one", replica="1") == 1.0, 60.0)
     token = str(server.folder / "token")
     robot = robot_of(server.address, token_file=token, model="one", coding="raw")
     robot.load()
     for _ in range(5):
         robot.predict(SEEN)
     numbers = read(server)
-    answered = [
-        found(numbers, "requests_total", model="one", replica=number, outcome="answered")
-        for number in "01"
-    ]
-    assert sorted(answered) == [0.0, 5.0]
-    replica = str(answered.index(5.0))
-    assert found(numbers, "batches_total", model="one", replica=replica) == 5.0
-    assert found(numbers, "clients", model="one", replica=replica) == 1.0
+    assert found(numbers, "ready", model="one") == 1.0
+    assert found(numbers, "requests_total", model="one", outcome="answered") == 5.0
+    assert found(numbers, "requests_total", model="other", outcome="answered") == 0.0
+    assert found(numbers, "batches_total", model="one") == 5.0
+    assert found(numbers, "clients", model="one") == 1.0
     assert found(numbers, "robots") == 1.0
     for name in ("model_seconds", "queue_seconds"):
-        assert found(numbers, f"{name}_count", model="one", replica=replica) == 5.0
-        assert found(numbers, f"{name}_bucket", model="one", replica=replica, le="+Inf") == 5.0
+        assert found(numbers, f"{name}_count", model="one") == 5.0
+        assert found(numbers, f"{name}_bucket", model="one", le="+Inf") == 5.0
     assert found(numbers, "served_seconds_count", model="one") == 5.0
     whole = found(numbers, "served_seconds_sum", model="one")
-    assert whole > found(numbers, "model_seconds_sum", model="one", replica=replica) > 0.0
+    assert whole > found(numbers, "model_seconds_sum", model="one") > 0.0
     assert found(numbers, "lost_total", model="one") == 0.0
     robot.close()
 
 
-LOADED = {("one", "0"), ("one", "1"), ("other", "0")}
-"""Model and number of every replica."""
-
-
-def replicas_that_tell(server: RunningServer) -> set[tuple[str, str]]:
-    """Model and number of the replicas with time metrics, which they have after loading."""
+def timed(server: RunningServer) -> set[str]:
+    """Models with time metrics, which they have after loading."""
     told = [dict(labels) for name, labels in read(server) if name.endswith("model_seconds_sum")]
-    return {(labels["model"], labels["replica"]) for labels in told}
+    return {labels["model"] for labels in told}
 
 
 def test_who_connects_adds_no_labels(server: RunningServer) -> None:
-    wait_until(lambda: replicas_that_tell(server) == LOADED, 60.0)
+    wait_until(lambda: timed(server) == {"one", "other"}, 60.0)
     before, refused = read(server), "refused_connections_total"
     port = server.port
     for word in (b"x" * 64, b'[{"model": "made-up"}, []]', b"GET / HTTP/1.1\r\n\r\n"):
@@ -99,6 +91,7 @@ def test_who_connects_adds_no_labels(server: RunningServer) -> None:
     assert read(server).keys() == before.keys()
 
 
+@pytest.mark.exhaustive
 def test_one_that_says_nothing_does_not_keep_others_waiting_for_long(
     server: RunningServer,
 ) -> None:

@@ -33,7 +33,6 @@ from roboneuron import (
     Observation,
     RoboNeuronError,
 )
-from roboneuron.cli.main import main
 
 pytestmark = pytest.mark.timeout(200)
 
@@ -176,4 +175,3 @@ def test_the_command_serves_robots_of_the_same_configuration_until_it_is_ended(
     finally:
         process.kill()
         process.wait()
-    assert main([*words[3:], "--replica", "1"]) == 2

@@ -22,6 +22,7 @@ from rn_testing.waiting import wait_until
 from roboneuron import (
     Ahead,
     ConfigurationError,
+    NotReadyError,
     RoboNeuronError,
 )
 from roboneuron.cli.main import main
@@ -30,6 +31,7 @@ pytestmark = pytest.mark.timeout(200)
 
 
 @pytest.mark.parametrize("coding", ["raw", "png"])
+@pytest.mark.sampled(every=2)
 def test_answers_over_tls_equal_those_of_the_same_backend_here_bit_for_bit(
     serve: Serve, robot: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, coding: str
 ) -> None:
@@ -59,6 +61,7 @@ def test_answers_over_tls_equal_those_of_the_same_backend_here_bit_for_bit(
     assert sum(parts) == pytest.approx(metrics["shared.round_trip_ms"])
 
 
+@pytest.mark.exhaustive
 def test_jpeg_is_used_as_far_as_it_moves_actions_no_further_than_allowed(
     serve: Serve, robot: Robot
 ) -> None:
@@ -91,8 +94,8 @@ def test_no_more_robots_than_allowed_are_taken(serve: Serve, robot: Robot, tmp_p
     server = serve(keys="token", robots=1)
     token = str(tmp_path / "token")
     one = robot(server.address, token_file=token)
-    with pytest.raises(ConfigurationError, match="no more are taken"):
-        robot(server.address, token_file=token)
+    with pytest.raises(NotReadyError, match="no more are taken"):
+        robot(server.address, token_file=token, start_timeout_s=0.5)
     assert answers(one)
     one.close()
     wait_until(lambda: server.status()["robots"] == 0, 20.0)

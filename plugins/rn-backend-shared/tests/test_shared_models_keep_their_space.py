@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from rn_backend_shared.batching import _with_metrics
-from rn_backend_shared.frames import HEADER_BYTES, FrameKind, Header, decode, encode, read_header
+from rn_backend_shared.messages import from_answer, to_answer
 from rn_backend_shared.space import shared_space
-from rn_backend_shared.wire import from_answer, to_answer
+from rn_backend_shared.wire import pack, unpack
 from roboneuron import (
     EE_DELTA,
     GRIPPER,
@@ -42,8 +42,9 @@ ROBOT = RobotProfile(
 
 def sent(chunk: ActionChunk) -> ActionChunk:
     """The chunk after encoding and decoding."""
-    frame = b"".join(encode(Header(FrameKind.ANSWER), from_answer(chunk)))
-    return to_answer(decode(read_header(frame[:HEADER_BYTES]), frame[HEADER_BYTES:]))
+    found = unpack(pack(from_answer(chunk)))
+    assert isinstance(found, dict)
+    return to_answer(found)
 
 
 def test_the_space_travels_with_the_chunk() -> None:

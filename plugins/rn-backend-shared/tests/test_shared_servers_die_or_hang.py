@@ -16,7 +16,6 @@ from policy_servers import (
     servers_in,
 )
 
-from rn_backend_shared.links import Links
 from rn_testing.waiting import wait_until
 from roboneuron import (
     CheckpointError,
@@ -39,34 +38,6 @@ def test_a_server_that_dies_is_a_clear_error_and_then_there_is_another(
     wait_until(lambda: answers(other), 90.0, "the other robot has found it too")
     wait_until(lambda: len(servers_in(tmp_path)) == 1, 90.0, "there is one of them")
     assert servers_in(tmp_path) != [pid]
-
-
-@pytest.mark.slow
-def test_with_a_replica_the_death_of_a_server_costs_no_more_than_the_chunk_under_way(
-    spawned: Robot, tmp_path: Path
-) -> None:
-    one = spawned(replicas=2)
-    wait_until(
-        lambda: len(list((tmp_path / "run").glob("*.sock"))) == 2, 90.0, "both have a socket"
-    )
-    ready = Links(one._options)
-    wait_until(lambda: all(ready._is_ready(path) for path in ready._paths), 90.0, "both are ready")
-    ready.close()
-    expected = one.predict(SEEN).actions
-    told = one._links
-    assert told is not None
-    used = told._greet(told._paths[0])
-    assert used is not None
-    os.kill(used.pid, signal.SIGKILL)
-    wait_until(lambda: used.pid not in servers_in(tmp_path), 90.0, "it is gone")
-    lost = 0
-    for _ in range(20):
-        try:
-            np.testing.assert_array_equal(one.predict(SEEN).actions, expected)
-        except NotReadyError:
-            lost += 1
-    assert lost <= 1
-    wait_until(lambda: len(servers_in(tmp_path)) == 2, 90.0, "it is replaced")
 
 
 @pytest.mark.slow
@@ -93,6 +64,7 @@ def test_why_a_model_cannot_be_loaded_is_told_as_its_backend_says_it(served: Rob
         served(backend="absent")
 
 
+@pytest.mark.exhaustive
 def test_a_server_without_robots_ends_and_leaves_no_socket(spawned: Robot, tmp_path: Path) -> None:
     one = spawned(idle_s=1.0)
     assert answers(one)

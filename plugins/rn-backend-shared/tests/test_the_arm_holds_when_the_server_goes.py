@@ -157,6 +157,7 @@ def check_it_rests(seen: Witness, fault_s: float, what: str) -> None:
     assert [at_s for at_s in seen.actions if fault_s + HOLD_S < at_s < fault_s + LOOKED_AT_S] == []
 
 
+@pytest.mark.exhaustive
 def test_the_arm_holds_while_the_server_is_away_and_goes_on_when_it_is_back(
     seen: Witness, server: RunningServer
 ) -> None:

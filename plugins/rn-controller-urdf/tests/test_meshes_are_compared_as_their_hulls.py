@@ -189,6 +189,38 @@ def test_a_hull_of_many_vertices_is_bounded_and_never_smaller(tmp_path: Path) ->
             assert -0.002 <= found[pair] - expected[pair] <= 3e-4, pair  # its facets
 
 
+@pytest.mark.parametrize("segments", [200, 300, 600])
+def test_a_disc_of_many_segments_is_as_near_as_a_cylinder(tmp_path: Path, segments: int) -> None:
+    """A vertex of a disc's hull may have as many neighbours as there are segments."""
+    turn = np.linspace(0.0, 2.0 * math.pi, segments, endpoint=False)
+    rim = np.stack([0.5 * np.cos(turn), 0.5 * np.sin(turn)], axis=1)
+    points = [(x, y, z) for z in (-0.5, 0.5) for x, y in rim.tolist()]
+    faces = [(i, (i + 1) % segments, i + segments) for i in range(segments)]
+    write_obj(tmp_path / "disc.obj", points, faces)
+    disc = loaded(arm(mesh("disc.obj", "0.1 0.1 0.1"), tmp_path))
+    true = loaded(arm('<cylinder radius="0.05" length="0.1"/>'))
+    for position in np.random.default_rng(5).uniform(-3, 3, (40, 4)):
+        expected, found = told(true, sample(*position)), told(disc, sample(*position))
+        for pair in expected.keys() & found.keys():
+            assert -0.002 <= found[pair] - expected[pair] <= 3e-4, pair  # its facets
+
+
+def test_a_mesh_of_several_parts_is_as_near_as_one_of_one_part(tmp_path: Path) -> None:
+    """Two boxes, one beside the other."""
+    points = [(x / 2 + move, y, z) for move in (-0.25, 0.25) for x, y, z in CORNERS]
+    faces = [(a + first, b + first, c + first) for first in (0, 8) for a, b, c in FACES]
+    write_obj(tmp_path / "cube.obj", points, faces)
+    lines = (tmp_path / "cube.obj").read_text(encoding="utf-8").splitlines()
+    half = len(lines) - len(FACES)
+    text = "\n".join(["usemtl a", *lines[:half], "usemtl b", *lines[half:], ""])
+    (tmp_path / "parts.obj").write_text(text, encoding="utf-8")
+    size = "0.28 0.04 0.04"
+    one, parts = (loaded(arm(mesh(name, size), tmp_path)) for name in ("cube.obj", "parts.obj"))
+    for position in np.random.default_rng(6).uniform(-3, 3, (200, 4)):
+        expected, found = told(one, sample(*position)), told(parts, sample(*position))
+        assert found == pytest.approx(expected, abs=1e-6)
+
+
 ANGLE = ((0.24, 0.02, 0.02), (0.02, 0.3, 0.02)), ((0.0, 0.0, 0.0), (-0.11, 0.16, 0.0))
 """Sizes and centres of two boxes that make an angle; its hull fills the corner between them."""
 

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import contextlib
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -35,7 +33,6 @@ with contextlib.suppress(ModuleNotFoundError):
         GOAL_VIOLATED: End.GOAL_TOLERANCE,
     }
 
-sys.path.append(str(Path(__file__).parent))  # for ros2control_rig
 _CYCLE_S = 0.005
 _FINGER_M_S = 0.1
 

@@ -143,6 +143,7 @@ def test_goals_are_followed_within_the_limits_of_every_point(
     anyio.run(scenario)
 
 
+@pytest.mark.exhaustive
 def test_a_goal_that_another_command_replaces_is_not_reached(
     environment: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

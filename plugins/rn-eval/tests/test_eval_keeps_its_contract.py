@@ -6,15 +6,7 @@ import pytest
 
 from rn_eval.contract_cases import SuiteCase, cubes_case, hand_over_case
 from rn_eval.hooks import SuiteSpec
-from rn_eval.plugin import COMMAND
-from rn_testing import CommandCase, CommandContract, PackageCase, PackageContract
 from rn_testing.contracts import contract_of
-
-
-class TestEval(CommandContract):
-    @pytest.fixture
-    def plugin(self) -> CommandCase:
-        return CommandCase(spec=COMMAND)
 
 
 class TestCubes(contract_of(SuiteSpec)):
@@ -27,9 +19,3 @@ class TestHandOver(contract_of(SuiteSpec)):
     @pytest.fixture
     def plugin(self) -> SuiteCase:
         return hand_over_case()
-
-
-class TestPackage(PackageContract):
-    @pytest.fixture
-    def plugin(self) -> PackageCase:
-        return PackageCase(distribution="rn-eval", plugin="rn-eval")

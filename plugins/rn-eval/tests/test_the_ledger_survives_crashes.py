@@ -27,6 +27,7 @@ def record(seed, status="success"):
     return EpisodeRecord(key=key, instruction="reach", outcome=EpisodeOutcome(status=status))
 
 
+@pytest.mark.exhaustive
 def test_every_prefix_of_a_ledger_can_be_continued(plan, tmp_path):
     """A crash may truncate the file anywhere: complete lines stay, others are run again, and the
     final result is the same.

@@ -7,6 +7,7 @@ from __future__ import annotations
 import json
 import os
 import random
+import signal
 import socket
 import subprocess
 import sys
@@ -233,6 +234,28 @@ def test_a_shared_policy_answers_many_workers_at_once(toy, tmp_path):
     assert done.returncode == 0
     finish(tmp_path / "own", "--backend", "steer-batch", "--episodes", "12")
     assert outcomes(tmp_path) == outcomes(tmp_path / "own")
+
+
+SHARED = ("--backend", "steer-batch", "--episodes", "30", "--suite-option", "slow_s=0.3")
+
+
+@pytest.mark.parametrize("name", ["ray::EpisodeWorker", "ray::PolicyActor"])
+@pytest.mark.parametrize("way", [signal.SIGSTOP, signal.SIGKILL])
+def test_a_frozen_process_is_replaced_as_a_dead_one_is(toy, tmp_path, name, way):
+    log = tmp_path / "driver.log"
+    with log.open("w") as output:
+        driver = subprocess.Popen(
+            command(tmp_path / "run", *SHARED, "--workers", "2", "--policy-actors", "1"),
+            stdout=output,
+            stderr=output,
+        )
+    wait_until(lambda: len(_lines(tmp_path / "run")) > 3 or driver.poll() is not None, 600.0)
+    found = _processes(driver, name)
+    assert found, log.read_text(encoding="utf-8")
+    os.kill(found[0].pid, way)
+    assert driver.wait(600) == 0
+    finish(tmp_path / "own", *SHARED)
+    assert outcomes(tmp_path / "run") == outcomes(tmp_path / "own")
 
 
 def test_a_policy_that_remembers_cannot_be_shared(toy, tmp_path):

@@ -7,9 +7,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-
-sys.path.append(str(Path(__file__).parent))
-
 from made_packages import WELD, write_package
 
 from rn_interfaces.finder import PREFIXES, install

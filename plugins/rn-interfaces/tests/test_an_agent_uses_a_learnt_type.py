@@ -20,7 +20,6 @@ import pytest
 import rclpy
 from made_packages import WELD, write_package
 from mcap.reader import make_reader
-from mcp import Client, StdioServerParameters
 from rclpy.action import ActionServer
 from rclpy.exceptions import InvalidHandle
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
@@ -30,6 +29,7 @@ from rn_interfaces.finder import PREFIXES
 from rn_interfaces.learning import learn
 from rn_interfaces.sources import definitions
 from rn_interfaces.store import DefinitionStore
+from rn_testing.agent import Agent, client_of
 from rn_testing.waiting import wait_for_line
 from roboneuron.ros.environment import prepare_environment
 
@@ -140,16 +140,10 @@ def test_an_agent_publishes_reads_and_records_a_learnt_type(
     config = tmp_path / "roboneuron.toml"
     config.write_text(CONFIG.format(state=tmp_path / "state"))
     environment = {k: v for k, v in os.environ.items() if k != "ROBONEURON_RECORDER"}
-    command = ["-m", "roboneuron.cli.main", "serve", "--config", str(config)]
-    server = StdioServerParameters(command=sys.executable, args=command, env=environment)
 
     async def scenario() -> None:
-        async with Client(server) as client:
-
-            async def do(tool: str, **arguments: Any) -> dict[str, Any]:
-                answer = await client.call_tool(tool, arguments)
-                assert not answer.is_error, answer.content
-                return dict(answer.structured_content or {})
+        async with client_of(config, environment) as client:
+            do = Agent(client).do
 
             async def until(condition: Callable[[dict[str, Any]], bool]) -> None:
                 with anyio.fail_after(WAIT_S):
@@ -248,11 +242,9 @@ def test_another_definition_of_the_type_is_refused(store: DefinitionStore, tmp_p
         )
     config = tmp_path / "roboneuron.toml"
     config.write_text(CONFIG.format(state=tmp_path / "state"))
-    command = ["-m", "roboneuron.cli.main", "serve", "--config", str(config)]
-    server = StdioServerParameters(command=sys.executable, args=command, env=dict(os.environ))
 
     async def scenario() -> None:
-        async with Client(server) as client:
+        async with client_of(config, os.environ) as client:
             calls: tuple[tuple[str, dict[str, Any]], ...] = (
                 ("read_done", {}),
                 ("publish_seam", {"message": {}}),

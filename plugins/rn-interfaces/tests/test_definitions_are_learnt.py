@@ -156,6 +156,26 @@ def test_text_of_strangers_is_never_run(user: Path, tmp_path: Path) -> None:
     assert not mark.exists()
 
 
+def test_an_origin_is_kept_unknown_without_the_list_and_refused_if_damaged(
+    empty: DefinitionStore,
+) -> None:
+    name = Name("own_msgs", "msg", "A")
+    taught(empty, A="bool a")
+    known = empty.origin(name)
+    assert (known.source, known.type_hash[:7]) == ("a test", "RIHS01_")
+    assert empty.origins() == {str(name): known}
+    (path,) = empty.prefix.glob("origins.json")
+    path.unlink()
+    assert empty.origin(name).type_hash == ""
+    assert empty.origins() == {}
+    for text in ("", "[]", '{"own_msgs/msg/A": ["a"]}', '{"own_msgs/msg/A": [1, 2]}'):
+        path.write_text(text)
+        with pytest.raises(ConfigurationError) as caught:
+            empty.origin(name)
+        assert "Remove it" in caught.value.hint
+        assert empty.text(name) == "bool a"
+
+
 def test_the_command_learns_lists_shows_and_forgets(user: Path, tmp_path: Path) -> None:
     folder = write_package(tmp_path, "weld_msgs", WELD)
     environment = {**os.environ, "XDG_DATA_HOME": str(tmp_path / "data"), PREFIXES: sys.prefix}

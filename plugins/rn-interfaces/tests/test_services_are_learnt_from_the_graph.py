@@ -98,6 +98,7 @@ def test_a_service_and_an_action_come_from_where_their_process_has_them(
     assert not again.texts, "all of it is known"
 
 
+@pytest.mark.exhaustive
 def test_another_definition_of_the_same_name_is_not_taken(
     welder: NodeGraph, empty: DefinitionStore, tmp_path: Path
 ) -> None:

@@ -22,6 +22,7 @@ from link_pairs import pair
 from mcp import Client, StdioServerParameters
 from mcp.client.stdio import stdio_client
 
+from rn_testing.agent import Agent
 from rn_testing.waiting import wait_until
 from roboneuron.config import default_text
 
@@ -92,11 +93,7 @@ async def serve_and_watch(robot: Machine, gpu: Machine, stranger: Machine) -> No
         env={**os.environ, "XDG_STATE_HOME": str(robot.state)},
     )
     async with Client(stdio_client(server)) as client:
-
-        async def do(tool: str, **arguments: Any) -> Any:
-            answer = await client.call_tool(tool, arguments)
-            assert not answer.is_error, answer.content
-            return answer.structured_content
+        do = Agent(client).do
 
         assert "start_inference" in {tool.name for tool in (await client.list_tools()).tools}
         for tool in ("start_robot", "start_perception", "start_control"):

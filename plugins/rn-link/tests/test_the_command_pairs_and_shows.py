@@ -32,6 +32,7 @@ def link(state: Path, *arguments: str, text: str = "") -> subprocess.CompletedPr
     )
 
 
+@pytest.mark.exhaustive
 def test_two_machines_are_paired_shown_and_parted(tmp_path: Path) -> None:
     robot, gpu = tmp_path / "robot", tmp_path / "gpu"
     assert "no link" in link(robot, "show").stdout

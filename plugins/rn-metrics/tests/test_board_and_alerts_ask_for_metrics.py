@@ -161,16 +161,16 @@ def test_what_people_must_know_of_has_an_alert(about: str) -> None:
 
 def test_reasons_of_drops_are_those_that_modules_count() -> None:
     """They are words in the modules' code."""
-    import rn_standard.control
-    import rn_standard.inference
-    import rn_standard.perception
     import roboneuron.modules
+    import roboneuron.modules.control
+    import roboneuron.modules.inference
+    import roboneuron.modules.perception
 
     packages = (
         roboneuron.modules,
-        rn_standard.control,
-        rn_standard.inference,
-        rn_standard.perception,
+        roboneuron.modules.control,
+        roboneuron.modules.inference,
+        roboneuron.modules.perception,
     )
     folders = [Path(str(package.__file__)).parent for package in packages]
     code = "\n".join(path.read_text() for folder in folders for path in folder.glob("*.py"))

@@ -4,22 +4,10 @@ import pytest
 
 from rn_metrics.plugin import FEATURE
 from rn_standard.http.plugin import FEATURE as HTTP
-from rn_testing import FeatureCase, FeatureContract, PackageCase, PackageContract
-
-
-class TestFeature(FeatureContract):
-    @pytest.fixture
-    def plugin(self) -> FeatureCase:
-        return FeatureCase(spec=FEATURE, needs=(HTTP,))
+from rn_testing import FeatureCase, FeatureContract
 
 
 class TestFeatureAtWork(FeatureContract):
     @pytest.fixture
     def plugin(self) -> FeatureCase:
         return FeatureCase(spec=FEATURE, needs=(HTTP,), options={"prometheus": True, "port": 0})
-
-
-class TestPackage(PackageContract):
-    @pytest.fixture
-    def plugin(self) -> PackageCase:
-        return PackageCase(distribution="rn-metrics")

@@ -14,7 +14,7 @@ from opentelemetry.sdk.trace.export import SimpleSpanProcessor
 from opentelemetry.sdk.trace.export.in_memory_span_exporter import InMemorySpanExporter
 
 from rn_metrics.spans import Spans, otlp_exporter
-from rn_standard.direct_path.writer import TopicWriter
+from roboneuron.direct_path.writer import TopicWriter
 from roboneuron.gate.audit import AuditLog, AuditRecord
 
 SENT = AuditRecord(

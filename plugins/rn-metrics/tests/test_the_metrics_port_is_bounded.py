@@ -99,6 +99,7 @@ def test_idle_connections_take_no_thread_and_keep_nobody_out(port: int) -> None:
         assert threading.active_count() == before
 
 
+@pytest.mark.exhaustive
 def test_slow_requests_give_way(port: int) -> None:
     with ExitStack() as stack:
         crowd = [

@@ -1,8 +1,9 @@
 """A camera driver for one test: `python camera_driver.py best_effort|reliable`; ends when its
 standard input does.
 
-Publishes /usb/image_raw (bgr8, 64x48, blue and the stamp's last digits count images) and
-/usb/camera_info at 50 Hz, and the same image as a PNG on /usb/image_raw/compressed.
+Publishes /usb/image_raw (bgr8, 64x48, blue and the stamp's last digits count images),
+/usb/camera_info and /usb/depth (16UC1, 500 mm and the count) at 50 Hz, and the same image as a PNG
+on /usb/image_raw/compressed.
 """
 
 from __future__ import annotations
@@ -38,6 +39,7 @@ def main(reliability: str) -> None:
     images = node.create_publisher(Image, "/usb/image_raw", qos)
     files = node.create_publisher(CompressedImage, "/usb/image_raw/compressed", qos)
     infos = node.create_publisher(CameraInfo, "/usb/camera_info", qos)
+    depths = node.create_publisher(Image, "/usb/depth", qos)
     count = 0
     while not select.select([sys.stdin], [], [], 0.02)[0]:
         count = (count + 1) % 256
@@ -48,6 +50,14 @@ def main(reliability: str) -> None:
         image = Image(
             width=64, height=48, step=192, encoding="bgr8", data=array.array("B", bgr.tobytes())
         )
+        depth_mm = np.full((48, 64), 500 + count, dtype="<u2")
+        depth = Image(
+            width=64,
+            height=48,
+            step=128,
+            encoding="16UC1",
+            data=array.array("B", depth_mm.tobytes()),
+        )
         buffer = io.BytesIO()
         Pillow.fromarray(np.ascontiguousarray(bgr[:, :, ::-1])).save(buffer, "png")
         file = CompressedImage(
@@ -55,7 +65,7 @@ def main(reliability: str) -> None:
         )
         info = CameraInfo(width=64, height=48, distortion_model="plumb_bob", d=[0.0] * 5)
         info.k = [50.0, 0.0, 30.0, 0.0, 50.0, 20.0, 0.0, 0.0, 1.0]
-        for message, publisher in ((info, infos), (image, images), (file, files)):
+        for message, publisher in ((info, infos), (image, images), (depth, depths), (file, files)):
             message.header.stamp, message.header.frame_id = stamp, "usb_optical"
             publisher.publish(message)
     node.destroy_node()

@@ -22,7 +22,12 @@ HERE = Path(__file__).parent
 RESIZE = {"width": 32, "height": 32, "fit": "letterbox"}
 OPTIONS = {
     "cameras": {
-        "front": {"topic": "/usb/image_raw", "camera_info": "/usb/camera_info", "resize": RESIZE},
+        "front": {
+            "topic": "/usb/image_raw",
+            "camera_info": "/usb/camera_info",
+            "depth": "/usb/depth",
+            "resize": RESIZE,
+        },
         "side": {
             "topic": "/usb/image_raw/compressed",
             "transport": "compressed",
@@ -141,10 +146,11 @@ def test_images_arrive_with_stamps_and_calibration_and_drivers_may_change(graph:
         graph.listen(Image, f"/cell/camera/{name}/image") for name in ("front", "side")
     )
     infos = graph.listen(CameraInfo, "/cell/camera/front/camera_info")
+    depths = graph.listen(Image, "/cell/camera/front/depth")
     driver = graph.start(str(HERE / "camera_driver.py"), "best_effort")
     graph.start_perception(OPTIONS)
     graph.wait_for(
-        lambda: len(fronts) > 5 and len(sides) > 4 and len(infos) > 5, "images of both cameras"
+        lambda: min(map(len, (fronts, sides, infos, depths))) > 5, "images of both cameras"
     )
 
     for message in fronts:
@@ -154,6 +160,14 @@ def test_images_arrive_with_stamps_and_calibration_and_drivers_may_change(graph:
         assert pixels[16, 16].tolist() == [200, 100, message.header.stamp.nanosec % 1000]
         assert not pixels[:4].any()
         assert not pixels[28:].any()
+    for message in depths:
+        depth_m = np.frombuffer(message.data, dtype="<f4").reshape(32, 32)
+        assert message.encoding == "32FC1"
+        expected_m = (500 + message.header.stamp.nanosec % 1000) / 1000
+        assert depth_m[16, 16] == pytest.approx(expected_m), "depth and stamp belong"
+        assert np.isnan(depth_m[:4]).all(), "nothing is measured in the bars"
+    shown = [m.header.stamp for m in fronts]
+    assert any(m.header.stamp in shown for m in depths), "a depth has the stamp of its image"
     assert (sides[-1].width, sides[-1].height, sides[-1].encoding) == (64, 48, "rgb8")
     assert sides[-1].data[2] == sides[-1].header.stamp.nanosec % 1000
     stamps_s = [m.header.stamp.sec + m.header.stamp.nanosec * 1e-9 for m in sides]
@@ -176,6 +190,7 @@ def test_images_arrive_with_stamps_and_calibration_and_drivers_may_change(graph:
     graph.wait_for(lambda: len(fronts) > 2, "images of the new driver")
 
 
+@pytest.mark.exhaustive
 def test_images_inside_learnt_messages_arrive(graph: Graph) -> None:
     """Of types that nobody has compiled: `roboneuron ros learn` reads their definitions."""
     pytest.importorskip("rn_interfaces", reason="rn-interfaces makes types at run time")

@@ -8,7 +8,7 @@ from importlib.metadata import entry_points
 import pytest
 
 from rn_perception_camera.contract_cases import ros_case, video_case
-from rn_testing import PackageCase, PackageContract, PerceptionCase, PerceptionContract
+from rn_testing import PerceptionCase, PerceptionContract
 from roboneuron.plugins.discovery import discover_from
 from roboneuron.plugins.registry import Status
 
@@ -27,14 +27,6 @@ class TestVideoCamera(PerceptionContract):
     @pytest.fixture
     def plugin(self) -> PerceptionCase:
         return video_case()
-
-
-class TestPackage(PackageContract):
-    """The distribution."""
-
-    @pytest.fixture
-    def plugin(self) -> PackageCase:
-        return PackageCase(distribution="rn-perception-camera")
 
 
 def test_without_opencv_only_the_video_camera_is_unavailable(

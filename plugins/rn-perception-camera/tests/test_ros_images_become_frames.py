@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import array
 import time
 from typing import Any
 
 import numpy as np
 import pytest
+from sensor_msgs.msg import Image
 
-from roboneuron.errors import NotReadyError
+from rn_perception_camera.options import RosCameraOptions
+from roboneuron.errors import InvalidInputError, NotReadyError
 
 NOW_NS = 1_700_000_000_000_000_000
 
@@ -164,3 +167,83 @@ def test_calibration_follows_the_driver(cell: Any, raw: Any, info: Any, pixels: 
         cell.topics.deliver("info", message)
         cell.topics.deliver("front", raw(pixels, NOW_NS + turn))
         assert source.read(1.0).calibration.intrinsics[0, 0] == focal_px
+
+
+def depth_of(pixels: Any, at_ns: int = NOW_NS, encoding: str = "16UC1") -> Any:
+    """Depth of an image as a driver sends it: 0.5 m, a hole in the first column."""
+    height, width = pixels.shape[:2]
+    values = np.full((height, width), 500 if encoding == "16UC1" else 0.5)
+    values[:, 0] = 0
+    data = values.astype("<u2" if encoding == "16UC1" else "<f4")
+    message = Image(
+        width=width,
+        height=height,
+        step=data.nbytes // height,
+        encoding=encoding,
+        data=array.array("B", data.tobytes()),
+    )
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(at_ns, 10**9)
+    return message
+
+
+@pytest.mark.parametrize("encoding", ["16UC1", "32FC1"])
+@pytest.mark.parametrize("first", ["image", "depth"])
+def test_an_image_has_the_depth_of_its_time(
+    cell: Any, raw: Any, pixels: Any, encoding: str, first: str
+) -> None:
+    source = cell.source(front={"depth": "depth"})
+    arriving = [("front", raw(pixels)), ("depth", depth_of(pixels, NOW_NS + 1_000_000, encoding))]
+    for topic, message in arriving if first == "image" else reversed(arriving):
+        cell.topics.deliver(topic, message)
+    depth_m = source.read(1.0).depth_m
+    assert np.isnan(depth_m[:, 0]).all()
+    assert (depth_m[:, 1:] == 0.5).all()
+
+
+def test_an_image_whose_depth_is_lost_comes_with_the_next(cell: Any, raw: Any, pixels: Any) -> None:
+    source = cell.source(front={"depth": "depth"})
+    cell.topics.deliver("front", raw(pixels))
+    with pytest.raises(NotReadyError):
+        source.read(0.0)
+    cell.topics.deliver("depth", depth_of(pixels, NOW_NS - 30_000_000))
+    cell.topics.deliver("front", raw(pixels, NOW_NS + 30_000_000))
+    frame = source.read(1.0)
+    assert (frame.stamp_ns, frame.depth_m) == (NOW_NS, None)
+    cell.topics.deliver("depth", depth_of(pixels, NOW_NS + 30_000_000))
+    assert source.read(1.0).depth_m is not None
+
+
+@pytest.mark.parametrize("fit", ["letterbox", "crop"])
+def test_depth_is_fitted_like_its_image(cell: Any, raw: Any, pixels: Any, fit: str) -> None:
+    source = cell.source(
+        front={"depth": "depth", "resize": {"width": 32, "height": 32, "fit": fit}}
+    )
+    pixels[:] = 255
+    cell.topics.deliver("front", raw(pixels))
+    cell.topics.deliver("depth", depth_of(pixels))
+    frame = source.read(1.0)
+    is_seen = frame.image.any(axis=2)
+    is_seen[:, 0] = False  # of the hole
+    known = np.isfinite(frame.depth_m)
+    assert (known[:, 1:] == is_seen[:, 1:]).all()
+    assert set(frame.depth_m[known].tolist()) == {0.5}
+
+
+@pytest.mark.parametrize(
+    ("shape", "encoding"), [((24, 32, 3), "16UC1"), ((48, 64, 3), "rgb8")], ids=["size", "encoding"]
+)
+def test_depth_that_does_not_fit_is_refused(
+    cell: Any, raw: Any, pixels: Any, shape: Any, encoding: str
+) -> None:
+    source = cell.source(front={"depth": "depth"})
+    cell.topics.deliver("front", raw(pixels))
+    message = depth_of(np.zeros(shape, np.uint8))
+    message.encoding = encoding
+    cell.topics.deliver("depth", message)
+    with pytest.raises(InvalidInputError, match="depth"):
+        source.read(1.0)
+
+
+def test_depth_of_an_undistorted_image_is_refused() -> None:
+    with pytest.raises(ValueError, match="registered"):
+        RosCameraOptions(topic="a", camera_info="b", depth="c", distortion="undistort")

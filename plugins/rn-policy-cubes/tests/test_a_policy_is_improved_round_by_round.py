@@ -101,6 +101,7 @@ def turn(directory: Path, weights: Path, plan: RoundPlan) -> Wheel:
     return wheel
 
 
+@pytest.mark.exhaustive
 def test_a_better_challenger_is_promoted_and_rolled_back(
     judged: list[tuple[int, ...]], weights: Path, plan: RoundPlan, tmp_path: Path
 ) -> None:
@@ -119,6 +120,7 @@ def test_a_better_challenger_is_promoted_and_rolled_back(
         again.roll_back()
 
 
+@pytest.mark.exhaustive
 @pytest.mark.usefixtures("untrained")
 def test_a_worse_challenger_is_not_promoted_but_what_it_learnt_from_is_kept(
     judged: list[tuple[int, ...]], weights: Path, plan: RoundPlan, tmp_path: Path

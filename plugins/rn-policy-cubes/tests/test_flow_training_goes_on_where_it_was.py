@@ -118,6 +118,7 @@ def test_packing_needs_a_training(tmp_path: Path) -> None:
         pack_flow(tmp_path)
 
 
+@pytest.mark.exhaustive
 def test_command_trains_packs_and_unpacks(
     shards: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -38,6 +38,7 @@ def episode(directory: Path, kind: str) -> InjectedEpisode:
     return read_episode(path_of(directory, kind, INDEX))
 
 
+@pytest.mark.exhaustive
 def test_an_episode_depends_only_on_kind_and_seed(directory: Path) -> None:
     assert not write_episode(directory, "success", INDEX), "it is there already"
     known = episode(directory, "success")

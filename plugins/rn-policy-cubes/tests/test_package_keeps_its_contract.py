@@ -11,10 +11,8 @@ import pytest
 from rn_policy_cubes import checkpoint as checkpoint_module
 from rn_policy_cubes.command import CubesPolicy
 from rn_policy_cubes.monitor.contract_case import case
-from rn_policy_cubes.plugin import COMMAND
 from rn_standard.tasks.contract_cases import MonitorCase
 from rn_standard.tasks.hooks import MonitorSpec
-from rn_testing import CommandCase, CommandContract, PackageCase, PackageContract
 from rn_testing.contracts import contract_of
 from roboneuron import ConfigurationError
 
@@ -25,22 +23,10 @@ def rendered_case() -> MonitorCase:
     return case()
 
 
-class TestCommand(CommandContract):
-    @pytest.fixture
-    def plugin(self) -> CommandCase:
-        return CommandCase(spec=COMMAND)
-
-
 class TestMonitor(contract_of(MonitorSpec)):
     @pytest.fixture
     def plugin(self) -> MonitorCase:
         return rendered_case()
-
-
-class TestPackage(PackageContract):
-    @pytest.fixture
-    def plugin(self) -> PackageCase:
-        return PackageCase(distribution="rn-policy-cubes")
 
 
 def run(*words: str) -> int:
@@ -63,6 +49,7 @@ def test_a_wrong_recipe_is_refused(setting: str, message: str, tmp_path: Path) -
         run("train", "--out", str(tmp_path), "--set", setting)
 
 
+@pytest.mark.exhaustive
 def test_from_nothing_to_a_checkpoint(
     shards: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -74,6 +74,7 @@ def test_demonstrations_are_counted(tmp_path: Path, workers: int) -> None:
     assert again == []
 
 
+@pytest.mark.exhaustive
 def test_training_tells_losses_and_a_preview_and_is_not_changed_by_it(
     recipe: Recipe, shards: Path, tmp_path: Path
 ) -> None:

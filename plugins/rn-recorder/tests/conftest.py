@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import sys
 from pathlib import Path
 
 import pytest
@@ -11,7 +10,6 @@ import pytest
 from rn_testing.domain import free_ros_domain
 from rn_testing.fakes.site import PluginSite
 
-sys.path.append(str(Path(__file__).parent))  # for recorder_demonstrations and recorder_rig
 CONFIG = """
 [robot]
 name = "gantry"

@@ -7,18 +7,17 @@ from __future__ import annotations
 import json
 import os
 import signal
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import anyio
 import pytest
-from mcp import Client, StdioServerParameters
 
 from rn_recorder_runs.files import is_finished, read_attachments, read_records
 from rn_recorder_runs.reading import count_topics, iterate
 from rn_recorder_runs.store import RunStore
+from rn_testing.agent import Agent, client_of
 
 
 def recorder_pid(parent: int) -> int | None:
@@ -56,22 +55,8 @@ def test_a_recorder_that_stalls_dies_or_loses_its_server_leaves_readable_files(
     store = RunStore(tmp_path / "state" / "runs")
 
     async def scenario() -> None:
-        command = [
-            "-m",
-            "roboneuron.cli.main",
-            "serve",
-            "--config",
-            str(config_path),
-            "--log-level",
-            "warning",
-        ]
-        server = StdioServerParameters(command=sys.executable, args=command, env=server_environment)
-        async with Client(server) as client:
-
-            async def do(tool: str, /, **arguments: Any) -> dict[str, Any]:
-                answer = await client.call_tool(tool, arguments)
-                assert not answer.is_error, answer.content
-                return dict(answer.structured_content or {})
+        async with client_of(config_path, server_environment, "--log-level", "warning") as client:
+            do = Agent(client).do
 
             async def until(condition: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
                 with anyio.fail_after(60):

@@ -27,8 +27,8 @@ from rn_recorder_runs.observations import Observations
 from rn_recorder_runs.replay import EXACT, Compared, replay
 from rn_recorder_runs.replayed_run import check_labels
 from rn_recorder_runs.store import Run
-from rn_standard.inference.agreement import SpaceAgreement
 from roboneuron import ACTION_LABEL, ControlSpace, InvalidInputError
+from roboneuron.modules.inference.agreement import SpaceAgreement
 from roboneuron.ros.messages import to_action_message
 
 KINDS = ("joint_position", "joint_velocity")

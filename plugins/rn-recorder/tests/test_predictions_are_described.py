@@ -13,6 +13,8 @@ from recorder_demonstrations import PERIOD_NS, observation
 from rn_recorder.plugin import FEATURE
 from rn_recorder_runs.predictions import PredictionRecords, join, prediction_record
 from roboneuron import ActionChunk
+from roboneuron.modules.inference.execution import Prediction
+from roboneuron.modules.step_filters import StepFilters
 from roboneuron.plugins.loading import load_attribute
 
 
@@ -40,12 +42,13 @@ def test_the_inference_module_is_given_the_words() -> None:
         advertised.append(topic)
         return output
 
-    module = SimpleNamespace(on_prediction=[], node=SimpleNamespace(advertise=advertise))
+    module = SimpleNamespace(filters=StepFilters(), node=SimpleNamespace(advertise=advertise))
     for extend in joined("inference"):
         extend(module)
     assert advertised == ["predictions"]
-    (listener,) = module.on_prediction
-    listener(observation(0, "pick", 0), "overlap", True, ValueError("too dark"))
+    (listener,) = module.filters
+    seen = Prediction(observation=observation(0, "pick", 0), captured_ns=0, epoch=0, mode="overlap")
+    listener.note_answer(seen, True, ValueError("too dark"))
     assert [json.loads(text)["error"] for text in published] == ["too dark"]
 
 

@@ -19,8 +19,8 @@ from rclpy.serialization import serialize_message
 from rn_recorder.playing import PlayRecording, action_message, pace, pieces, playing_tool
 from rn_recorder_runs.against_robot import play
 from rn_recorder_runs.files import Record, RunFile
-from rn_standard.direct_path.plugin import FEATURE as DIRECT_PATH
 from roboneuron import ConfigurationError, RefusedError, StateError
+from roboneuron.direct_path.plugin import FEATURE as DIRECT_PATH
 from roboneuron.server.app import Application
 
 STEP_M, STEPS = 0.004, 12
@@ -54,6 +54,7 @@ def record(path: Path, *steps_m: float) -> Path:
     return path
 
 
+@pytest.mark.exhaustive
 @pytest.mark.ros
 @pytest.mark.timeout(240)
 def test_recorded_actions_move_the_simulation(

@@ -18,9 +18,9 @@ from rn_recorder_runs.lerobot import export
 from rn_recorder_runs.observations import Observations
 from rn_recorder_runs.replay import EXACT, Compared, replay
 from rn_recorder_runs.store import Run
-from rn_standard.inference.agreement import SpaceAgreement
 from rn_testing.fakes import gantry_profile
 from roboneuron import EE_DELTA, ActionChunk, InvalidInputError, Observation, UngroundedError
+from roboneuron.modules.inference.agreement import SpaceAgreement
 
 AGREEMENT = SpaceAgreement(declared=EE_DELTA, executed=EE_DELTA, columns=tuple(range(7)))
 INSTRUCTIONS = [("pick up the cup", "success"), ("put it down", "failure")]

@@ -16,8 +16,8 @@ from rn_recorder_policy.command import read_demonstration
 from rn_recorder_policy.diagnosis import KINDS, Diagnosis, diagnose
 from rn_recorder_policy.name_mapping import NameMapping
 from rn_recorder_runs.deployed import DeployedBackend
-from rn_standard.inference.agreement import SpaceAgreement
 from roboneuron import ActionChunk, BackendSpec, Observation
+from roboneuron.modules.inference.agreement import SpaceAgreement
 
 VERSIONS = {"ee_delta": "v3.0", "joint_position": "v2.1", "joint_velocity": "v3.0"}
 Check = Callable[..., Diagnosis]

@@ -19,10 +19,10 @@ from rn_robot_bases.options import SimulatedBaseOptions
 from rn_robot_bases.platform import PLATFORMS
 from rn_robot_bases.profile import diffdrive_profile, husky_profile, racecar_profile
 from rn_simulation.ground_truth import SWITCH, TRUE_POSE_TOPIC
-from rn_standard.direct_path.twists import CMD_VEL, ODOMETRY
 from rn_testing.fakes import MemoryTopics, gantry_profile
 from rn_testing.waiting import wait_until
 from roboneuron.contract import JointCommand, RobotProfile
+from roboneuron.direct_path.twists import CMD_VEL, ODOMETRY
 from roboneuron.errors import ConfigurationError, InvalidInputError, StateError
 
 PROFILES = (diffdrive_profile, husky_profile, racecar_profile)

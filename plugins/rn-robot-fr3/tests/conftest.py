@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import pytest
 
 from rn_simulation.engine import ENGINES, Engine
 from roboneuron.plugins.availability import is_importable
-
-sys.path.append(str(Path(__file__).parent))  # for fci_simulator
 
 
 @pytest.fixture(params=[engine for engine in ENGINES if is_importable(engine)])

@@ -1,4 +1,6 @@
-"""The simulated gripper opens once, at the chosen moment, and grasps again afterwards."""
+"""The simulated gripper holds a cube where it is, opens once, at the chosen moment, and grasps
+again afterwards.
+"""
 
 from __future__ import annotations
 
@@ -46,6 +48,18 @@ def test_the_cube_falls_once_and_can_be_picked_up_again(engine: Engine) -> None:
         _pick(simulation, "red")
         simulation.step(round((AFTER_S + 1.0) / STEP_S))
         assert simulation.cubes()["red"].held_s > AFTER_S + 0.4
+
+
+@pytest.mark.exhaustive
+def test_a_held_cube_does_not_creep_in_the_hand(engine: Engine) -> None:
+    with ArmSimulation(0, engine=engine) as simulation:
+        _pick(simulation, "red")
+        simulation.step(round(1.0 / STEP_S))
+        before = simulation.cubes()["red"]
+        simulation.step(round(20.0 / STEP_S))
+        after = simulation.cubes()["red"]
+    assert np.linalg.norm(after.position_m - before.position_m) < 5e-4
+    assert abs(after.quaternion_xyzw @ before.quaternion_xyzw) > np.cos(np.radians(0.5) / 2)
 
 
 def test_without_the_switch_nothing_slips(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -61,6 +61,7 @@ def opened(engine: Engine) -> Iterator[list[SteppedRun]]:
         run.driver.close()
 
 
+@pytest.mark.sampled(every=2)
 def test_pauses_between_commands_change_nothing(engine: Engine, opened: list[SteppedRun]):
     seen = []
     for pause_s in (0.0, 0.3):
@@ -79,6 +80,7 @@ def test_pauses_between_commands_change_nothing(engine: Engine, opened: list[Ste
     assert np.abs(seen[0][2, :7] - HOME).max() > 0.02
 
 
+@pytest.mark.sampled(every=2)
 def test_a_hold_at_rest_changes_nothing(engine: Engine, opened: list[SteppedRun]):
     run = SteppedRun(engine)
     opened.append(run)

@@ -10,6 +10,7 @@ from rn_robot_fr3.cameras import cameras
 from rn_robot_fr3.simulation import ArmSimulation
 from rn_simulation.engine import Engine
 from rn_simulation.ground_truth import CubeState
+from rn_simulation.pinhole import PinholeCamera
 from roboneuron.contract import CameraCalibration
 from roboneuron.contract.rotation import matrix_from_quaternion
 
@@ -94,3 +95,24 @@ def test_profile_lists_the_same_calibrations() -> None:
         expected = camera.calibration(listed.width, listed.height)
         np.testing.assert_array_equal(listed.calibration.intrinsics, expected.intrinsics)
         np.testing.assert_array_equal(listed.calibration.T_mount_camera, expected.T_mount_camera)
+
+
+@pytest.mark.parametrize("camera", cameras(), ids=lambda camera: camera.name)
+def test_depth_is_that_of_the_surface_in_each_pixel(engine: Engine, camera: PinholeCamera) -> None:
+    width, height = 160, 120
+    with ArmSimulation(3, engine=engine) as simulation:
+        image, depth_m = simulation.render_depth(camera.name, width, height)
+        np.testing.assert_array_equal(image, simulation.render(camera.name, width, height))
+        calibration = camera.calibration(width, height)
+        mount = simulation.world.T_base_tcp() if camera.mount == "tcp" else np.eye(4)
+        pose = mount @ calibration.T_mount_camera
+        rows, columns = np.mgrid[:height, :width] + 0.5
+        rays = np.stack([columns, rows, np.ones_like(rows)], axis=-1)
+        rays = rays @ np.linalg.inv(calibration.intrinsics).T
+        heights = (rays * depth_m[..., None] @ pose[:3, :3].T + pose[:3, 3])[..., 2]
+        tops = [2 * cube.position_m[2] for cube in simulation.cubes().values()]
+    assert depth_m.dtype == np.float32
+    assert np.mean(np.abs(heights) < 1e-3) > 0.3, "the table"
+    for top_m in tops:
+        seen = np.abs(heights - top_m) < 1e-3
+        assert seen.sum() > 5 or camera.mount == "tcp", "a wrist camera does not see every cube"

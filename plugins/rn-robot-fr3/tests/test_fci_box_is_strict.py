@@ -5,12 +5,12 @@ from __future__ import annotations
 import struct
 
 import pytest
+from fci_box import services, wire
+from fci_box.judge import CommandJudge
+from fci_box.network import Cable, Faults
+from fci_box.wire import Service
 
 from rn_robot_fr3.fci.addresses import free_address
-from rn_robot_fr3.fci.box import services, wire
-from rn_robot_fr3.fci.box.judge import CommandJudge
-from rn_robot_fr3.fci.box.network import Cable, Faults
-from rn_robot_fr3.fci.box.wire import Service
 from rn_robot_fr3.profile import HOME_RAD
 
 THRESHOLDS = struct.pack("<52d", *[20.0] * 28, *[30.0] * 24)

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from fci_box.control_box import ControlBox
 from fci_simulator import MARKS, PYTHON, until
 
 from rn_robot_fr3.fci.addresses import free_address
-from rn_robot_fr3.fci.box.control_box import ControlBox
 from rn_robot_fr3.fci.driver import FciDriver
 from rn_robot_fr3.fci.options import FciDriverOptions
 from rn_robot_fr3.fci.simulator import FrankaSim

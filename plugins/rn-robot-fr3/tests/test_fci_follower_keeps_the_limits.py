@@ -12,7 +12,8 @@ import pytest
 
 pytest.importorskip("ruckig", reason="needs ruckig: pip install './plugins/rn-robot-fr3[fci]'")
 
-from rn_robot_fr3.fci.box.judge import CommandJudge
+from fci_box.judge import CommandJudge
+
 from rn_robot_fr3.fci.follower import LONGEST_GAP, LONGEST_UNHEARD, Course, Follower
 from rn_robot_fr3.fci.planner import (
     ACCELERATION_LIMIT_RAD_S2,

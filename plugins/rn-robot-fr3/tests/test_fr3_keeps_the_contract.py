@@ -5,9 +5,8 @@ from __future__ import annotations
 import pytest
 
 from rn_robot_fr3.contract_cases import cameras_case, robot_case
-from rn_robot_fr3.plugin import roboneuron_commands
-from rn_testing.cases import CommandCase, PackageCase, PerceptionCase, RobotCase
-from rn_testing.contracts import CommandContract, PackageContract, PerceptionContract, RobotContract
+from rn_testing.cases import PerceptionCase, RobotCase
+from rn_testing.contracts import PerceptionContract, RobotContract
 
 
 class TestFr3(RobotContract):
@@ -20,16 +19,3 @@ class TestSimulatedCameras(PerceptionContract):
     @pytest.fixture
     def plugin(self) -> PerceptionCase:
         return cameras_case()
-
-
-class TestCommand(CommandContract):
-    @pytest.fixture
-    def plugin(self) -> CommandCase:
-        (command,) = roboneuron_commands()
-        return CommandCase(spec=command)
-
-
-class TestPackage(PackageContract):
-    @pytest.fixture
-    def plugin(self) -> PackageCase:
-        return PackageCase(distribution="rn-robot-fr3")

@@ -12,7 +12,6 @@ from rn_robot_fr3.plugin import roboneuron_robots
 from rn_robot_fr3.profile import profile
 from rn_simulation.scene_state import TOPIC
 from rn_simulation.stepped import CLOCK_TOPIC, TURN_TOPIC
-from rn_standard.stepped.clock import OPTION
 from roboneuron.plugins.availability import is_importable
 from roboneuron.plugins.loading import load_options_model, load_target
 
@@ -45,10 +44,10 @@ def test_time_waits_for_commands_in_a_simulation_alone(driver):
             pytest.skip(f"{requirement.module} is not installed: {requirement.install}")
     model = load_options_model(driver)
     if driver.name == "simulated":
-        assert model.model_validate({OPTION: True}).stepped
+        assert model.model_validate({"stepped": True}).stepped
     else:
-        with pytest.raises(ValidationError, match=OPTION):
-            model.model_validate({OPTION: True})
+        with pytest.raises(ValidationError, match="stepped"):
+            model.model_validate({"stepped": True})
 
 
 def test_the_topics_that_drivers_write_are_named_in_the_profile():

@@ -137,13 +137,12 @@ def test_frames_come_no_faster_than_the_rate(topics: MemoryTopics, opened: Open)
     source = opened(names=("front",), rate_hz=20, width=32, height=32)
     with ArmSimulation(0, colours=("red",)) as simulation:
         message = to_message(state_of(simulation, 1))
-    times = []
+    began_s = time.monotonic()
     for _ in range(6):
         topics.deliver(TOPIC, message)
         source.read(10.0)
-        times.append(time.monotonic())
-    # One interval less: the first frame may be late by up to a slot.
-    assert times[-1] - times[0] >= 3.9 / 20
+    # counted from before the first one, which may be late: a busy machine only makes it longer
+    assert time.monotonic() - began_s >= 4.9 / 20
 
 
 def test_size_is_an_option_and_the_calibration_follows(topics: MemoryTopics, opened: Open) -> None:

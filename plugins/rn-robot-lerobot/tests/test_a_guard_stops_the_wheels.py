@@ -82,6 +82,7 @@ def test_a_bus_that_hangs_is_one(arm: SerialArm, guard: WheelGuard) -> None:
     assert arm.motors.broken_rules == []
 
 
+@pytest.mark.exhaustive
 def test_a_driver_of_standing_wheels_may_be_busy(arm: SerialArm, guard: WheelGuard) -> None:
     guard.note(is_rolling=True)
     guard.note(is_rolling=False)

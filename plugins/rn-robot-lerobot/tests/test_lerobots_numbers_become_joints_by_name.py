@@ -19,7 +19,7 @@ from rn_robot_lerobot.bus.reference import ASSEMBLED_SO101
 from rn_robot_lerobot.calibration import STEPS
 from rn_robot_lerobot.profile import so101_profile
 from rn_robot_lerobot.units import MotorMap, degrees, motors_of, percent, share_of_range
-from roboneuron import InvalidInputError, UnsafeError
+from roboneuron import InvalidInputError, NotReadyError, UnsafeError
 
 SCALING = json.loads(Path(__file__).parent.joinpath("data/scaling.json").read_text())["rows"]
 STEP_RAD = 2.0 * math.pi / STEPS
@@ -129,3 +129,12 @@ def test_two_motors_of_one_joint_and_a_scale_of_nought_are_refused() -> None:
         MotorMap([degrees("a", "j"), degrees("b", "j")])
     with pytest.raises(InvalidInputError, match="no finite scale"):
         MotorMap([percent("a", "j", 0.3, 0.3)])
+
+
+@pytest.mark.parametrize("gripper", [{}, {"grip": np.nan}, {"grip": np.inf}])
+def test_a_gripper_that_is_not_measured_is_not_ready(gripper: dict[str, float]) -> None:
+    motors = MotorMap((degrees("a", "arm"), percent("g", "grip", 0.0, 0.04)))
+    with pytest.raises(NotReadyError, match="grip"):
+        motors.measured_values({"arm": 0.1, **gripper})
+    told = motors.measured_values({"arm": 0.0, "grip": 0.02})
+    assert told == {"a.pos": 0.0, "g.pos": 50.0}

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from rn_robot_lerobot.contract_cases import cameras_case, koch_case, lekiwi_case, so101_case
-from rn_testing.cases import PackageCase, PerceptionCase, RobotCase
-from rn_testing.contracts import PackageContract, PerceptionContract, RobotContract
+from rn_testing.cases import PerceptionCase, RobotCase
+from rn_testing.contracts import PerceptionContract, RobotContract
 
 
 class TestSo101(RobotContract):
@@ -31,9 +31,3 @@ class TestSimulatedCameras(PerceptionContract):
     @pytest.fixture
     def plugin(self) -> PerceptionCase:
         return cameras_case()
-
-
-class TestPackage(PackageContract):
-    @pytest.fixture
-    def plugin(self) -> PackageCase:
-        return PackageCase(distribution="rn-robot-lerobot")

@@ -141,6 +141,7 @@ def test_a_hold_brakes_the_arm_and_keeps_the_grasp(driver: LerobotDriver, arm: S
     ],
     ids=["silent", "wrong"],
 )
+@pytest.mark.sampled(every=2)
 def test_a_bad_bus_is_a_fault_after_which_nothing_moves_by_itself(
     driver: LerobotDriver, arm: SerialArm, faults: BusFaults, words: str
 ) -> None:

@@ -3,8 +3,8 @@ from __future__ import annotations
 import pytest
 
 from rn_runtime_sglang.plugin import roboneuron_runtimes
-from rn_standard.inference.planning import find_policy
 from roboneuron.errors import ConfigurationError, PlanningError
+from roboneuron.modules.inference.planning import find_policy
 from roboneuron.plugins.discovery import discover
 
 

@@ -112,6 +112,7 @@ def test_what_the_served_half_lacks_is_named_with_the_command(site, model, monke
     assert "pip install not-installed-here; " in caught.value.hint
 
 
+@pytest.mark.exhaustive
 def test_the_served_half_needs_nothing_that_nobody_installs():
     """SGLang's environment holds SGLang's requirements and NEEDED, but no other requirements of
     RoboNeuron's packages.
@@ -171,6 +172,7 @@ def test_a_crash_at_start_shows_its_last_lines_but_not_the_key(site, model):
     assert "api_key='***'" in str(caught.value)
 
 
+@pytest.mark.exhaustive
 def test_a_server_that_never_gets_ready_is_ended(site, model):
     runtime = managed(site, environment={"STANDIN_START_S": "60"}, start_timeout_s=4.0)
     with pytest.raises(

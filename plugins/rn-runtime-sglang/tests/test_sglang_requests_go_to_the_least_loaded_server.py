@@ -59,6 +59,7 @@ def test_one_url_with_another_model_is_an_error_at_the_start(launch, connect):
         connect(launch(), launch(served_name="other@0123", model_path="/models/other"))
 
 
+@pytest.mark.exhaustive
 def test_a_server_that_is_down_at_the_start_joins_later_but_not_with_another_model(launch, connect):
     first, second = launch(running=4.0), launch()
     second.stop()

@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from rn_runtime_sglang.case import sglang_case
-from rn_testing import PackageCase, PackageContract, RuntimeCase, RuntimeContract
+from rn_testing import RuntimeCase, RuntimeContract
 
 
 @pytest.mark.sampled(every=3)
@@ -11,9 +11,3 @@ class TestSglangRuntime(RuntimeContract):
     @pytest.fixture
     def plugin(self) -> RuntimeCase:
         return sglang_case()
-
-
-class TestSglangRuntimePackage(PackageContract):
-    @pytest.fixture
-    def plugin(self) -> PackageCase:
-        return PackageCase(distribution="rn-runtime-sglang")

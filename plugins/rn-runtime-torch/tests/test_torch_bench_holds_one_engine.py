@@ -49,6 +49,7 @@ def test_an_engine_is_gone_before_the_next_one_is_built(bench, monkeypatch, tmp_
     assert capsys.readouterr().out.count("eager loop") == 2
 
 
+@pytest.mark.exhaustive
 def test_the_eager_loop_reads_the_engines_weights(bench, tmp_path):
     name, _, model = next(bench.policies("small", tmp_path))
     with bench.random_weights():

@@ -3,16 +3,10 @@ from __future__ import annotations
 import pytest
 
 from rn_runtime_torch.case import torch_case
-from rn_testing import PackageCase, PackageContract, RuntimeCase, RuntimeContract
+from rn_testing import RuntimeCase, RuntimeContract
 
 
 class TestTorchRuntime(RuntimeContract):
     @pytest.fixture
     def plugin(self) -> RuntimeCase:
         return torch_case()
-
-
-class TestTorchRuntimePackage(PackageContract):
-    @pytest.fixture
-    def plugin(self) -> PackageCase:
-        return PackageCase(distribution="rn-runtime-torch")

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from rn_testing.fakes.site import PluginSite, plugin_site
-
-sys.path.append(str(Path(__file__).parent / "mutants"))
 
 
 @pytest.fixture

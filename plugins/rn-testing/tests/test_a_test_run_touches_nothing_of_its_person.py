@@ -154,6 +154,7 @@ def tries(person: Person, ways: list[str], names: list[str]) -> str:
 
 @needs_landlock
 @pytest.mark.parametrize("workers", ["0", "2"])
+@pytest.mark.sampled(every=2)
 def test_whoever_tries_cannot_write_there(person: Person, workers: str) -> None:
     file = tries(person, list(WAYS.values()), [*FILES, "new"])
     before = person.files()
@@ -170,6 +171,7 @@ def test_whoever_tries_cannot_write_there(person: Person, workers: str) -> None:
     assert not [name for name, value in seen.items() if str(person.home) in value]
 
 
+@pytest.mark.exhaustive
 def test_without_the_guard_the_same_attempts_succeed(person: Person) -> None:
     file = tries(person, [WAYS["append"], WAYS["program"]], ["own/roboneuron.toml", "new"])
     before = person.files()

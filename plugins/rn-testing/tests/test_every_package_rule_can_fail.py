@@ -318,7 +318,10 @@ def test_a_package_with_features_may_import_what_features_may_use(sample, monkey
     assert verify(rule, sample.case()).verdict is RuleVerdict.FAILED
     (sample.package / "policy.py").write_text("from roboneuron.feature import RosLink\n")
     assert verify(rule, sample.case()).verdict is RuleVerdict.FAILED
-    for name, verdict in (("ACTION", RuleVerdict.PASSED), ("JOINT_COMMAND", RuleVerdict.FAILED)):
+    for name, verdict in (
+        ("PREDICTIONS", RuleVerdict.PASSED),
+        ("JOINT_COMMAND", RuleVerdict.FAILED),
+    ):
         text = f"from roboneuron.feature import topics\nprint(topics.{name})\n"
         (sample.package / "policy.py").write_text(text)
         assert verify(rule, sample.case()).verdict is verdict

@@ -20,9 +20,11 @@ import mutants_devices
 import mutants_driver_states
 import mutants_drivers
 import mutants_engines
+import mutants_further
 import mutants_models
 import mutants_processes
 import mutants_profiles
+import mutants_settings
 import mutants_sources
 import mutants_spaces
 import pytest
@@ -128,9 +130,11 @@ MODULES = (
     mutants_driver_states,
     mutants_drivers,
     mutants_engines,
+    mutants_further,
     mutants_models,
     mutants_processes,
     mutants_profiles,
+    mutants_settings,
     mutants_sources,
     mutants_spaces,
 )

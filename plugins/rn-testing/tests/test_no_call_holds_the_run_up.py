@@ -23,6 +23,7 @@ def rule_of(rule_id):
     return next(rule for rule in RULES[kind] if rule.id == rule_id)
 
 
+@pytest.mark.exhaustive
 def test_a_predict_that_blocks_fails_its_rules_and_the_others_are_decided():
     assert mutants_backend.MUTANTS["predict_hangs"].target is not None
     spec = replace(fakes.FAKE_BACKEND, target="mutants_backend:predict_hangs")

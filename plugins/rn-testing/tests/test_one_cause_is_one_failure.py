@@ -12,6 +12,8 @@ from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
+import pytest
+
 from rn_testing import PerceptionCase, RuleVerdict, fakes, verify
 from rn_testing.rules import RULES
 
@@ -74,6 +76,7 @@ class TestMine(PerceptionContract):
     assert len(done.stdout.splitlines()) < 20, done.stdout
 
 
+@pytest.mark.exhaustive
 def test_a_stray_file_in_the_working_directory_fails_no_rule(tmp_path):
     for name in ("re", "json", "dataclasses", "numpy", "socket"):
         (tmp_path / f"{name}.py").write_text("raise RuntimeError('a stray file was imported')\n")

@@ -90,7 +90,8 @@ def test_a_plugin_that_the_distribution_lacks_is_named(site):
 
 def test_a_module_belongs_to_the_nearest_plugin():
     assert plugin_package("rn_standard.tasks.feature") == "rn_standard.tasks"
-    assert plugin_package("rn_standard.limits.command") == "rn_standard"
+    assert plugin_package("roboneuron.tools.arm.limits_command") == "roboneuron.tools.arm"
+    assert plugin_package("rn_standard.doctor.checks") == "rn_standard"
     assert plugin_package("rn_eval.libero.suite") == "rn_eval.libero"
     assert plugin_package("rn_eval.cubes") == "rn_eval"
     assert plugin_package("rn_view.feature") == "rn_view"

@@ -33,6 +33,7 @@ def test_a_slow_call_that_keeps_a_kilobyte_is_seen(calls):
         effects.check_memory(lambda: slow_call(calls, kept), "predict")
 
 
+@pytest.mark.exhaustive
 def test_a_bounded_history_is_no_leak(calls):
     kept: deque[bytes] = deque(maxlen=effects.MANY)
     effects.check_memory(lambda: slow_call(calls, kept), "predict")

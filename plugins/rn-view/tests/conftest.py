@@ -4,15 +4,10 @@ from __future__ import annotations
 
 import importlib.util
 import shutil
-import sys
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parent))  # view_fakes.py is beside the tests
-
 from view_fakes import FakeOperator, FakeSource, admission
 
 from rn_view.options import ViewOptions

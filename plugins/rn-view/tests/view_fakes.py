@@ -120,6 +120,10 @@ class FakeSource:
             limit_counts=self.limited[1],
         )
 
+    @property
+    def release_command(self) -> str:
+        return f"roboneuron estop --reset --state /var/lib/robots/{'long-name-' * 4}state"
+
     def is_latched(self) -> bool:
         return bool(self.stops)
 

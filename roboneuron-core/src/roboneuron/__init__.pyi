@@ -6,6 +6,9 @@ stub.
 from . import (
     foreign as foreign,
 )
+from .compressed_image import (
+    frame_from_compressed as frame_from_compressed,
+)
 from .config.models import (
     Section as Section,
 )
@@ -23,7 +26,13 @@ from .contract import (
     ArmState as ArmState,
     Backend as Backend,
     CameraCalibration as CameraCalibration,
+    CalibratedImage as CalibratedImage,
     CameraProfile as CameraProfile,
+    CameraView as CameraView,
+    LabelLocator as LabelLocator,
+    LocatedObject as LocatedObject,
+    Locator as Locator,
+    matrix_of as matrix_of,
     Channel as Channel,
     CollisionProfile as CollisionProfile,
     ControlSpace as ControlSpace,
@@ -35,6 +44,7 @@ from .contract import (
     GRIPPER as GRIPPER,
     GripperProfile as GripperProfile,
     Hold as Hold,
+    LinkExtents as LinkExtents,
     JointCommand as JointCommand,
     JointKinds as JointKinds,
     JointLimits as JointLimits,
@@ -59,6 +69,7 @@ from .contract import (
     apply_delta as apply_delta,
     channel_keys as channel_keys,
     check_rgb8 as check_rgb8,
+    depth_from_message as depth_from_message,
     frame_from_buffer as frame_from_buffer,
     joint_kinds as joint_kinds,
     mesh_file as mesh_file,
@@ -97,6 +108,9 @@ from .errors import (
     UnsafeError as UnsafeError,
     nearest as nearest,
 )
+from .plugins.availability import (
+    install_command as install_command,
+)
 from .plugins.hookspecs import (
     hookimpl as hookimpl,
     hookspec as hookspec,
@@ -113,11 +127,18 @@ from .plugins.specs import (
     ControllerSpec as ControllerSpec,
     DriverSpec as DriverSpec,
     FeatureSpec as FeatureSpec,
+    PICK_AND_PLACE as PICK_AND_PLACE,
     PerceptionSpec as PerceptionSpec,
     Requirement as Requirement,
     RobotSpec as RobotSpec,
     RuntimeSpec as RuntimeSpec,
     Spec as Spec,
+    LocatorSpec as LocatorSpec,
+    Verb as Verb,
+)
+from .sight.boxes import (
+    ImageDetection as ImageDetection,
+    place_detections as place_detections,
 )
 from .server.feature import (
     Feature as Feature,

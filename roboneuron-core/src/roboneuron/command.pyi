@@ -53,7 +53,6 @@ from .gate.roles import (
 )
 from .gate.audit import (
     AuditLog as AuditLog,
-    AuditRecord as AuditRecord,
 )
 from .gate.motion.limiter import (
     MotionLimiter as MotionLimiter,

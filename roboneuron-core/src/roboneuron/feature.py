@@ -1,9 +1,11 @@
-"""Names of the core that features may use in the server's process, in addition to `roboneuron`.
+"""Names of the core that features may use in the server's process and in modules, in addition to
+`roboneuron`.
 
-`feature.pyi` lists the names; some are modules (`topics`, `roles`, ...), of which the names in
+`feature.pyi` lists the names; some are modules (`topics`, `settings`, ...), of which the names in
 `GROUPS` may be used. A name is imported on first use. They change with minor releases, recorded in
-CHANGELOG.md. `roboneuron.command` and `roboneuron.node` are the lists for other processes; names in
-none of the three lists are private. Plugins of devices, models and robots need `roboneuron` only.
+CHANGELOG.md. `roboneuron.command` is the list for commands; a module of the core may publish names
+in its `__all__`; all others are private. Plugins of devices, models and robots need `roboneuron`
+only.
 """
 
 from collections.abc import Mapping
@@ -17,13 +19,11 @@ GROUPS: Mapping[str, frozenset[str]] = {
         "estop": "EmergencyStopLatch",
         "joint_space": "JointLimit",
         "loading": "load_options_model",
-        "log_files": "PlainFormatter opener",
-        "messages": "intrinsics_from_camera_info joints_from_message to_joint_trajectory",
-        "models": "LimitsConfig Name Namespace Seconds",
+        "log_files": "PlainFormatter opener read_tail",
+        "models": "Name Seconds",
         "reading": "parse_tables robot_folder",
-        "settings": "EMERGENCY_STOP_TOPIC FOREIGN_REQUEST",
-        "task_space": "TaskSpace",
-        "topics": "ACTION DIAGNOSTICS JOINT_STATES is_written_by_modules",
+        "settings": "FOREIGN_REQUEST INSTRUCTION_PARAMETER",
+        "topics": "PREDICTIONS",
     }.items()
 }
 """Public names of these modules; checked by a contract rule of packages."""

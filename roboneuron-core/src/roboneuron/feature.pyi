@@ -16,20 +16,28 @@ from .config import (
 )
 from .gate.motion import (
     joint_space as joint_space,
-    task_space as task_space,
 )
 from .modules import (
     settings as settings,
 )
+from .ros import (
+    topics as topics,
+)
 from .plugins import (
     loading as loading,
 )
-from .ros import (
-    messages as messages,
-    topics as topics,
-)
 
 # Single names.
+from .gate.motion import (
+    LimitedCommand as LimitedCommand,
+)
+from .gate.motion.command import (
+    Asked as Asked,
+)
+from .modules.module_host import (
+    Module as Module,
+    ModuleHost as ModuleHost,
+)
 from .config.models import (
     Config as Config,
 )
@@ -39,15 +47,15 @@ from .contract.profile import (
 from .gate.roles import (
     Role as Role,
 )
+from .gate.stillness import (
+    StillReason as StillReason,
+)
 from .gate.audit import (
     AuditLog as AuditLog,
     AuditRecord as AuditRecord,
 )
 from .gate.motion.limiter import (
     MotionLimiter as MotionLimiter,
-)
-from .gate.motion.path import (
-    Reach as Reach,
 )
 from .gate.motion.rules import (
     MotionRules as MotionRules,
@@ -59,22 +67,16 @@ from .modules.plugin import (
     load_profile as load_profile,
 )
 from .modules.report import (
-    ModuleFacts as ModuleFacts,
     Report as Report,
 )
 from .modules.settings import (
     ModuleKind as ModuleKind,
 )
 from .planning import (
-    KIND_ENTRIES as KIND_ENTRIES,
     Plan as Plan,
 )
 from .plugins.registry import (
     Registry as Registry,
-)
-from .ros.link import (
-    Call as Call,
-    RosLink as RosLink,
 )
 from .server.app import (
     Application as Application,
@@ -92,17 +94,12 @@ from .server.interception import (
 )
 from .server.loop import (
     ClosedLoop as ClosedLoop,
-    StartForm as StartForm,
 )
 from .server.motion_gate import (
-    Clamp as Clamp,
     ExposedEndpoint as ExposedEndpoint,
     GateRequest as GateRequest,
-    MotionClaim as MotionClaim,
     MotionGate as MotionGate,
-    Sent as Sent,
     TimedCommand as TimedCommand,
-    Verdict as Verdict,
 )
 from .server.registry import (
     ToolRegistry as ToolRegistry,
@@ -130,17 +127,6 @@ from .supervisor.health import (
     Health as Health,
     Modules as Modules,
     ModuleView as ModuleView,
-)
-from .supervisor.lifecycle import (
-    NodeClient as NodeClient,
-)
-from .supervisor.process import (
-    ModuleProcess as ModuleProcess,
-    read_tail as read_tail,
-)
-from .supervisor.slot import (
-    Phase as Phase,
-    Slot as Slot,
 )
 
 __all__: list[str]

@@ -33,6 +33,14 @@ MOST_DEPTH = 32
 """Default depth of nested lists and objects; the deepest of our own formats has nine."""
 MOST_TEXT = 16_384
 """Default limit of characters of a text taken with `text`."""
+MOST_TYPE_LEVELS = 32
+"""Most levels of ROS messages inside messages; those of ROS have seven."""
+MOST_TYPE_FIELDS = 20_000
+"""Most fields and list elements of a ROS message with all messages inside it; those of ROS have
+500. Each is an object that a message creates, and a line of its description.
+"""
+MOST_DESCRIPTION_BYTES = 4 << 20
+"""Maximum size of rosidl's JSON description of an interface [bytes]; those of ROS have 40 kB."""
 _LEAST_INTEGER, _MOST_INTEGER = -(1 << 63), (1 << 64) - 1
 """Integers of 64 bits, signed or not; a float holds each of them without OverflowError."""
 Document = dict[str, Any]
@@ -221,6 +229,15 @@ def read_json(path: Path, *, most_bytes: int = MOST_FILE_BYTES, has_constants: b
     """Decode a file. Raises as `read_bytes` and `decode_json`."""
     data = read_bytes(path, most_bytes=most_bytes)
     return decode_json(data, path.name, most_bytes=most_bytes, has_constants=has_constants)
+
+
+def type_hashes(description: object) -> dict[str, str]:
+    """RIHS01 hashes by full name, in rosidl's description of an interface."""
+    listed = items(field(description, "type_hashes"), "type_hashes", most=MOST_TYPE_FIELDS)
+    return {
+        text(field(one, "type_name"), "type_name"): text(field(one, "hash_string"), "hash_string")
+        for one in listed
+    }
 
 
 def field(document: object, name: str) -> Any:

@@ -8,8 +8,13 @@ one ends the process with `END_SIGNAL`. Neither needs the lock, a thread or anot
 `faulthandler.dump_traceback_later(exit=True)` alone would end a process that was stopped (SIGSTOP,
 a debugger) for longer than its bound, at the moment it goes on. The second timer therefore ends the
 process only at its second expiry: a stopped process gets one signal, however long it was stopped,
-and afterwards half of the bound to set the timers again. They follow CLOCK_MONOTONIC, which neither
-a suspended machine nor a clock that is set advances. Source: timer_create(2), sigaction(2).
+and afterwards at most half of the bound to set the timers again; how much depends on when it goes
+on, because the second timer keeps its phase. They follow CLOCK_MONOTONIC, which neither a suspended
+machine nor a clock that is set advances. Source: timer_create(2), sigaction(2).
+
+A process that gets little of a processor is no hang. The kernel cannot tell the two apart by a
+timer, but a starved process is late before it is too late: the bound grows with how late the thread
+was at its last settings, up to `MOST_BOUNDS` times, after which any process ends.
 """
 
 from __future__ import annotations
@@ -45,6 +50,14 @@ _DUMP_SIGNAL = signal.SIGRTMAX - 2
 _BEATS = 8
 """Settings of the timers within a bound; several may be late."""
 _MOST_PERIOD_S = 1.0
+MOST_BOUNDS = 4
+"""Largest growth of the bound while the process gets little of a processor."""
+_LATE_FACTOR = 8
+"""Growth of the bound for each second of lateness, which varies much on an overloaded machine."""
+_FORGET = 0.8
+"""Share of an earlier lateness that counts at the next setting: a busy second is forgotten after
+about ten.
+"""
 _SA_RESETHAND, _SA_RESTART, _SIGEV_THREAD_ID = 0x80000000, 0x10000000, 4
 
 
@@ -95,6 +108,11 @@ class _Timer:
         _call(self._libc, "timer_settime", self._id, 0, (ctypes.c_long * 4)(*parts), None)
 
 
+def grown_bound_s(bound_s: float, late_s: float) -> float:
+    """Bound [s] of a process whose watch was late by `late_s` at its last settings."""
+    return min(bound_s + _LATE_FACTOR * late_s, MOST_BOUNDS * bound_s)
+
+
 class HangWatch:
     """Watch of this process; `start` once, in the process that it watches (a forked one has
     neither its thread nor its timers).
@@ -108,6 +126,7 @@ class HangWatch:
         """
         self._bound_s = bound_s or _given_s()
         self._loading = 0
+        self._late_s = 0.0
         self._lock = threading.Lock()
         self._set: threading.Event | None = None
 
@@ -144,7 +163,8 @@ class HangWatch:
             self._set.set()
 
     def _now_s(self) -> float:
-        return max(self._bound_s, LOADING_S) if self._loading else self._bound_s
+        bound_s = max(self._bound_s, LOADING_S) if self._loading else self._bound_s
+        return grown_bound_s(bound_s, self._late_s)
 
     def _beat(self, libc: ctypes.PyDLL, dump: _Timer, end: _Timer) -> None:
         """Set everything anew: the first expiry writes the stacks and is otherwise without effect,
@@ -173,10 +193,15 @@ class HangWatch:
             return
         while True:
             begun_s, half_s = time.monotonic(), self._now_s() / 2
-            wake.wait(min(2 * half_s / _BEATS, _MOST_PERIOD_S))
+            period_s = min(2 * half_s / _BEATS, _MOST_PERIOD_S)
+            wake.wait(period_s)
             wake.clear()
-            if (late_s := time.monotonic() - begun_s) > half_s:
-                log.warning("This process did nothing for %.1f s; the stacks are of then.", late_s)
+            took_s = time.monotonic() - begun_s
+            # not more than the bound, or a long stop would be remembered for long
+            late_s = min(took_s - period_s, self._bound_s)
+            self._late_s = max(late_s, _FORGET * self._late_s)
+            if took_s > half_s:
+                log.warning("This process did nothing for %.1f s; the stacks are of then.", took_s)
             self._beat(libc, dump, end)
 
 

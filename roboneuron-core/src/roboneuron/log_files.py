@@ -33,6 +33,8 @@ Unicode, categories Cc and Cf, and Default_Ignorable_Code_Point.
 _MARKS = re.compile("(?<=[\u0300-\u036f]{4})[\u0300-\u036f]+")
 """Combining marks beyond the fourth of a letter, which would cover the lines above."""
 MOST_SHOWN = 300
+_TAIL_BYTES = 64 * 1024
+"""Bytes read from a log's end; a model may have logged gigabytes."""
 
 
 def make_log_directory(path: Path) -> None:
@@ -124,3 +126,19 @@ def begin_logging(level: int | str) -> None:
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(PlainFormatter())
     logging.basicConfig(level=level, handlers=[handler])
+
+
+def read_tail(path: Path, *, lines: int, offset: int = 0) -> tuple[str, ...]:
+    """Return the last `lines` lines after byte `offset`, from at most the last 64 KiB; empty if
+    there is no such file.
+    """
+    try:
+        with path.open("rb") as file:
+            start = max(offset, file.seek(0, os.SEEK_END) - _TAIL_BYTES)
+            file.seek(start)
+            found = file.read().decode("utf-8", errors="replace").splitlines()
+    except FileNotFoundError:
+        return ()
+    if start > offset and len(found) > 1:
+        found = found[1:]
+    return tuple(found[-lines:])

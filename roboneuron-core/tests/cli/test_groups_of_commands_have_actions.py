@@ -7,6 +7,7 @@ from __future__ import annotations
 import pytest
 
 from roboneuron.cli.main import main, named_command
+from roboneuron.plugins.availability import install_command
 from roboneuron.plugins.discovery import discover_from
 
 
@@ -102,6 +103,17 @@ def test_a_group_without_an_action_lists_its_actions(only, capsys, words):
     shown = "".join(capsys.readouterr())
     assert "plugins check  checks" in shown
     assert "serve" not in shown
+
+
+@pytest.mark.parametrize(
+    ("group", "packages"), [("config", ["rn-standard"]), ("plugins", ["rn-standard", "rn-testing"])]
+)
+@pytest.mark.parametrize("options", [[], ["--help"]])
+def test_a_group_without_any_installed_action_says_what_to_install(
+    only, capsys, group, packages, options
+):
+    assert main([group, *options]) == 2
+    assert install_command(*packages) in capsys.readouterr().err
 
 
 def test_an_unknown_command_suggests_the_nearest(capsys):

@@ -5,6 +5,7 @@ tell what to do.
 from __future__ import annotations
 
 import inspect
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,7 +14,14 @@ from hypothesis import strategies as st
 
 from rn_testing.fakes import gantry_profile
 from roboneuron import errors
-from roboneuron.contract import CameraCalibration, CameraProfile, GripperProfile
+from roboneuron.contract import (
+    ArmProfile,
+    CameraCalibration,
+    CameraProfile,
+    GripperProfile,
+    JointCommand,
+    JointSample,
+)
 
 GRIPPERS = st.builds(
     lambda closed, span, sign: GripperProfile(
@@ -38,6 +46,37 @@ def test_a_measured_opening_is_always_between_closed_and_open(gripper, position)
 @given(GRIPPERS)
 def test_a_position_that_is_no_number_is_no_closed_gripper(gripper):
     assert np.isnan(gripper.to_opening(float("nan")))
+
+
+FINGER = GripperProfile(joint="f", closed_position=0.0, open_position=0.04)
+FORMS = {
+    "mapping": dict,
+    "sample": lambda by_name: JointSample(names=tuple(by_name), position=[*by_name.values()]),
+    "command": lambda by_name: JointCommand(
+        names=tuple(by_name), position=[*by_name.values()], duration_s=0.1
+    ),
+}
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize(
+    ("by_name", "opening"),
+    [
+        ({"a": 1.0, "f": 0.01}, 0.25),
+        ({"f": 9.0, "a": 1.0}, 1.0),
+        ({"a": 1.0}, None),
+        ({}, None),
+        ({"f": np.nan}, None),
+        ({"f": np.inf}, None),
+        ({"f": -np.inf}, None),
+    ],
+)
+def test_an_opening_is_measured_or_none(form, by_name, opening):
+    joints = FORMS[form](by_name)
+    arm = ArmProfile(name="", joints=("a",), base_link="base", tcp_link="tcp", gripper=FINGER)
+    assert FINGER.opening_in(joints) == arm.opening_in(joints) == opening
+    assert replace(arm, gripper=None).opening_in(joints) is None
+    assert arm.opening_in(None) is None
 
 
 def test_cameras_are_found_by_name():

@@ -5,14 +5,10 @@ of the latch share observers.
 from __future__ import annotations
 
 import os
-import sys
-from pathlib import Path
 
 import pytest
 
 from roboneuron.gate import AuditLog, AuditRecord
-
-sys.path.append(str(Path(__file__).parent))
 
 
 @pytest.fixture

@@ -79,3 +79,9 @@ def test_a_mesh_that_is_found_is_checked(tmp_path: Path) -> None:
 def test_a_controller_without_distances_is_told() -> None:
     told = arm(SHAPE, asks=True).why_unchecked(LimitsConfig(), are_told=False)
     assert "the controller tells none" in told
+
+
+def test_places_without_a_controller_come_before_distances() -> None:
+    told = arm("").why_unchecked(LimitsConfig(), places="no controller. Install one.")
+    assert told.startswith("Places and distances on the way of joint commands to 'arm'")
+    assert told.endswith("no controller. Install one.")

@@ -142,7 +142,7 @@ def test_a_full_disk_leaves_no_cut_line(audit) -> None:
         for _ in range(2):
             with pytest.raises(RefusedError, match="Nothing moves without it"):
                 audit.write(record(tool="cut"))
-            assert audit.failed
+            assert audit.failure is not None
     assert audit.path.stat().st_size == whole
     audit.write(record(tool="after"))
     assert [line["tool"] for line in read(audit.path)] == ["before", "after"]

@@ -7,7 +7,6 @@ from __future__ import annotations
 import importlib.metadata
 import os
 import shutil
-import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
@@ -24,7 +23,6 @@ from roboneuron.modules.settings import ModuleKind
 from roboneuron.ros.environment import prepare_environment
 
 HERE = Path(__file__).parent
-sys.path.append(str(HERE))  # for control_cell and robot_cell
 BASE = """
 [robot]
 name = "pair"
@@ -90,10 +88,10 @@ class World:
         shadow: bool = False,
     ) -> Any:
         """Build a module's node; the caller triggers its transitions."""
-        from rn_standard.control.module import ControlModule
-        from rn_standard.inference.module import InferenceModule
-        from rn_standard.perception.module import PerceptionModule
+        from roboneuron.modules.control.module import ControlModule
+        from roboneuron.modules.inference.module import InferenceModule
         from roboneuron.modules.module import ModuleNode
+        from roboneuron.modules.perception.module import PerceptionModule
         from roboneuron.modules.robot import RobotModule
 
         classes = {
@@ -107,7 +105,7 @@ class World:
             node_name=kind,
             config=parse_config(edited(extra, replace)),
             state_directory=str(self.state_directory),
-            on_join=("loop_plugin:join", "rn_standard.tools_arm.limit_reports:join"),
+            on_join=("loop_plugin:join", "roboneuron.tools.arm.limit_reports:join"),
             shadow=shadow,
         )
         node = ModuleNode(settings, classes[kind])
@@ -201,6 +199,7 @@ class Host:
         self.settings, self.clock = settings, clock
         self.status = StatusWriter(settings.status_name)
         self.handover = Windows(settings.shadow, self.status)
+        self.filters = [self.handover]
         self.resources = ExitStack()
         self.stopped = False
         self.needs_start = ""
@@ -236,7 +235,11 @@ class Host:
         self.repeated.append((period_s, callback))
 
     def add_parameter(
-        self, name: str, value: Any, take: Callable[..., Any], refuse: Callable[..., Any]
+        self,
+        name: str,
+        value: Any,
+        take: Callable[..., Any],
+        refuse: Callable[..., Any] = lambda _: "",
     ) -> Callable[[], None]:
         self.parameters[name] = (value, take, refuse)
         return lambda: self.parameters.__delitem__(name)
@@ -276,8 +279,8 @@ def make_host(
 
     The modules use the host's clock.
     """
-    from rn_standard.control import module as control
     from roboneuron.modules import command_guard, holding, module_host, robot
+    from roboneuron.modules.control import module as control
     from roboneuron.plugins.discovery import discover_from
 
     monkeypatch.syspath_prepend(str(loop_site))

@@ -13,15 +13,15 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
-from rn_standard.control.module import ControlModule
-from rn_standard.tools_arm.limit_reports import join
 from roboneuron.contract import (
     Action,
     Hold,
     JointCommand,
     JointSample,
 )
+from roboneuron.modules.control.module import ControlModule
 from roboneuron.ros.messages import to_action_message, to_joint_state
+from roboneuron.tools.arm.limit_reports import join
 
 SILENT = "the server gave no sign of life"
 ARM = ("a", "b")

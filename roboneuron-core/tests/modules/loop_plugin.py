@@ -5,18 +5,15 @@ backends are in loop_backends.py.
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 
-from rn_standard.inference.execution import Prediction
-from rn_standard.inference.module import InferenceModule
 from roboneuron.contract import (
     Action,
-    ActionChunk,
     CameraProfile,
     ControlSpace,
     Frame,
@@ -31,7 +28,9 @@ from roboneuron.contract import (
 )
 from roboneuron.contract.arrays import F64
 from roboneuron.errors import NotReadyError
-from roboneuron.modules.module_host import Handover
+from roboneuron.modules.inference.module import InferenceModule
+from roboneuron.modules.predictions import AnsweredPrediction
+from roboneuron.modules.step_filters import StepFilter
 from roboneuron.plugins.hookspecs import hookimpl
 from roboneuron.plugins.specs import (
     ActionSpace,
@@ -115,6 +114,7 @@ def roboneuron_perceptions() -> Sequence[PerceptionSpec]:
 def roboneuron_controllers() -> Sequence[ControllerSpec]:
     return [
         ControllerSpec(name="adder", summary="x", target="loop_plugin:Adder"),
+        ControllerSpec(name="slider", summary="x", target="loop_plugin:Slider"),
         ControllerSpec(
             name="follower",
             summary="x",
@@ -158,6 +158,9 @@ def roboneuron_robots() -> Sequence[RobotSpec]:
             cameras=(camera,),
         ),
         RobotSpec(name="loose", summary="x", target="loop_plugin:loose_profile", drivers=(driver,)),
+        RobotSpec(
+            name="slider", summary="x", target="loop_plugin:slider_profile", drivers=(driver,)
+        ),
     ]
 
 
@@ -166,6 +169,11 @@ def loose_profile() -> RobotProfile:
     far = np.full(2, 1e6)
     limits = JointLimits(lower=-far, upper=far, velocity=far, acceleration=far, effort=far)
     return replace(profile(), limits=limits, cameras=())
+
+
+def slider_profile() -> RobotProfile:
+    """The robot "loose" with a TCP, whose x is the first joint's position by "slider"."""
+    return replace(loose_profile(), tcp_link="tip")
 
 
 def profile() -> RobotProfile:
@@ -182,8 +190,10 @@ def profile() -> RobotProfile:
     )
 
 
-class Windows(Handover):
+class Windows(StepFilter):
     """Handover windows of a feature that replaces modules."""
+
+    phase = StepFilter.StepPhase.HANDOVER
 
     def __init__(self, shadow: bool, status: Any) -> None:
         self.status = status
@@ -194,17 +204,21 @@ class Windows(Handover):
         }
         self.withheld: list[Any] = []
         self.sent: list[str] = []
+        self.inference: InferenceModule | None = None
 
     def set(self, name: str, moment_ns: int) -> None:
         self.moments[name] = moment_ns
 
-    def is_shadow(self, stamp_ns: int) -> bool:
-        return stamp_ns < self.moments["act_from_ns"]
+    def sends(self, stamp_ns: int) -> bool:
+        return stamp_ns >= self.moments["act_from_ns"]
 
-    def is_over(self, stamp_ns: int) -> bool:
-        return 0 < self.moments["act_until_ns"] <= stamp_ns
+    def admits(self, stamp_ns: int) -> bool:
+        is_over = 0 < self.moments["act_until_ns"] <= stamp_ns
+        if is_over and self.inference is not None:
+            self.status.set(note="handed over to the successor")
+        return not is_over
 
-    def must_fall_silent(self, now_ns: int) -> bool:
+    def ends_rows(self, now_ns: int) -> bool:
         return 0 < self.moments["play_until_ns"] <= now_ns
 
     def withhold(self, output: Any) -> None:
@@ -215,29 +229,23 @@ class Windows(Handover):
 
     def come_between(self, module: Any) -> None:
         """Decide for an inference module, like such a feature."""
-        if not isinstance(module, InferenceModule):
+        if isinstance(module, InferenceModule):
+            self.inference = module
+
+    def deliver(
+        self, answer: AnsweredPrediction, proceed: Callable[[AnsweredPrediction], None]
+    ) -> None:
+        if self.inference is None or self.sends(answer.prediction.captured_ns):
+            proceed(answer)
             return
-        deliver = module.deliver
-
-        def accepts(captured_ns: int) -> bool:
-            if self.is_over(captured_ns):
-                module.status.set(note="handed over to the successor")
-            return not self.is_over(captured_ns)
-
-        def deliver_unless_in_shadow(prediction: Prediction, chunk: ActionChunk, stop: Any) -> None:
-            if not self.is_shadow(prediction.captured_ns):
-                deliver(prediction, chunk, stop)
-                return
-            module.status.set(note="in shadow")
-            self.withhold(chunk)
-            module.note_first(prediction.observation.stamp_ns)
-
-        module.accepts.append(accepts)
-        module.deliver = deliver_unless_in_shadow
+        self.status.set(note="in shadow")
+        self.withhold(answer.chunk)
+        self.inference.note_first(answer.prediction.observation.stamp_ns)
 
 
 def join(host: Any) -> None:
-    windows = host.handover = Windows(host.settings.shadow, host.status)
+    windows = Windows(host.settings.shadow, host.status)
+    host.filters.append(windows)
     host.on_configured.append(windows.come_between)
     for name, moment_ns in windows.moments.items():
         host.add_parameter(
@@ -286,6 +294,14 @@ class Adder:
         return JointCommand(names=JOINTS, position=position, duration_s=step_s)
 
     def close(self) -> None: ...
+
+
+class Slider(Adder):
+    """Takes the first joint's position for the x of the TCP."""
+
+    def forward(self, joints: JointSample) -> Pose:
+        x = float(joints.position[joints.names.index("a")])
+        return replace(super().forward(joints), position_m=np.array([x, 0.0, 0.0]))
 
 
 class Follower(Adder):

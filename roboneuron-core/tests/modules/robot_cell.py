@@ -29,9 +29,15 @@ SOON_S = 15.0
 class Steps:
     """Replaces a worker thread: stores the step, and runs it on request."""
 
-    def __init__(self, name: str, step: Callable[[threading.Event], None], status: object) -> None:
-        self.name, self.step, self.status = name, step, status
-        self.limit_s = LIMIT_S
+    def __init__(
+        self,
+        name: str,
+        step: Callable[[threading.Event], None],
+        status: object,
+        *,
+        limit_s: float = LIMIT_S,
+    ) -> None:
+        self.name, self.step, self.status, self.limit_s = name, step, status, limit_s
         self.calls: list[str] = []
         self.ends = True
         self.end = threading.Event()
@@ -76,8 +82,10 @@ class Cell:
         self.while_sending: Callable[[], object] = lambda: None
         self.reader: Any = self.robot._reader
         self.player: Any = self.robot._player
+        self.checker: Any = self.robot._checker
         if activate:
             self.robot.activate()
+            self.checker.run()  # loads
 
     def send(self, command: JointCommand) -> JointCommand:
         self.told.append(command)

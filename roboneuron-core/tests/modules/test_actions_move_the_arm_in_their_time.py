@@ -14,13 +14,13 @@ from control_cell import (
     duration_s,
 )
 
-from rn_standard.control import module as control_module
 from roboneuron.contract import (
     Hold,
     JointCommand,
     JointSample,
 )
 from roboneuron.errors import UnsafeError
+from roboneuron.modules.control import module as control_module
 from roboneuron.ros.messages import to_action_message
 
 

@@ -11,9 +11,9 @@ from control_cell import Cell, MakeHost, duration_s
 from std_msgs.msg import Float64MultiArray
 
 from rn_simulation.setpoint import JointSetpoint
-from rn_standard.direct_path.exposed import ACTING_TOPIC
 from rn_standard.teleoperation import in_control
 from rn_standard.teleoperation.rows import Acting, LeadRow, Mode, RowKind
+from roboneuron.direct_path.exposed import ACTING_TOPIC
 
 TICK_S, ROW_S, LAG_TICKS = 0.005, 0.02, 4
 REST_S, GONE_S = 0.2, 1.0
@@ -37,7 +37,9 @@ class LedCell(Cell):
         self.control.activate()
         self.measure()
 
-    def lead(self, kind: RowKind = "twist", mode: Mode = "person") -> None:
+    def lead(
+        self, kind: RowKind = "twist", mode: Mode = "person", gripper_open: float | None = None
+    ) -> None:
         self.number += 1
         twist = np.array([FAST_M_S, 0, 0, 0, 0, 0])
         row = LeadRow(
@@ -47,7 +49,7 @@ class LedCell(Cell):
             kind=kind,
             keys=("base",) if kind == "twist" else (),
             values=twist if kind == "twist" else np.zeros(0),
-            gripper_open=None,
+            gripper_open=gripper_open,
         )
         info = {"source_timestamp": self.clock.wall_ns}
         self.host.subscribed[Float64MultiArray, "lead"](row.to_message(), info)
@@ -145,3 +147,24 @@ def test_control_reports_who_moves_the_arm_and_what_limits_it(make_host: MakeHos
     cell.host.stopped = True
     cell.act(0.001)
     assert (cell.acting().who, cell.acting().share) == ("nobody", 1.0)
+    assert cell.acting().note
+
+
+def test_control_reports_the_row_that_it_carried_out_and_what_it_commanded(cell: LedCell) -> None:
+    cell.run(ROW_S, lambda: cell.lead(gripper_open=0.5))
+    led = cell.acting()
+    assert (led.who, led.session, led.number) == ("person", "one", cell.number)
+    assert led.gripper_open == 0.5
+    assert len(led.moved) == 6
+    assert not led.note
+    cell.run(ROW_S, cell.lead)
+    assert cell.acting().gripper_open is None
+    assert cell.acting().number == led.number + 1
+
+
+def test_nothing_that_a_person_commanded_is_reported_of_the_policy(cell: LedCell) -> None:
+    cell.lead("rest", gripper_open=0.5)
+    cell.run(0.1)
+    cell.lead("rest", "lost")
+    assert cell.acting().moved == ()
+    assert cell.acting().gripper_open is None

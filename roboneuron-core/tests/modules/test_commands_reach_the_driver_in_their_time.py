@@ -225,8 +225,10 @@ def test_a_command_that_the_driver_refuses_is_counted_and_told(cell: Cell) -> No
     cell.play()
     assert cell.host.drops() == {"refused_command": 1}
     assert "beyond the joint's travel" in cell.host.values()["error"]
-    assert not cell.robot._moving
     assert cell.host.values().get("note", "") == ""
+    cell.clock.go(9.0)
+    cell.play()
+    assert cell.holds == 0, "nothing moves that could be held"
 
 
 @pytest.mark.parametrize("error", [UnsafeError, RuntimeError])

@@ -25,10 +25,10 @@ from space_cell import (
     joints_space,
 )
 
-from rn_standard.control.module import ControlModule
 from roboneuron.config.models import FIRST_STEP_S
 from roboneuron.contract import EE_DELTA, ControlSpace, JointLimits
 from roboneuron.errors import ConfigurationError
+from roboneuron.modules.control.module import ControlModule
 from roboneuron.ros.messages import to_action_message
 
 

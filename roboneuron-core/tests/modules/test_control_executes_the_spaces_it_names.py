@@ -10,8 +10,8 @@ from control_cell import START, Cell, MakeHost
 from loop_plugin import profile
 from std_msgs.msg import Float64MultiArray
 
-from rn_standard.control.module import _split
 from roboneuron.contract import ACTION_LABEL, Channel, ControlSpace, robot_space
+from roboneuron.modules.control.module import _split
 from roboneuron.ros.messages import to_action_message
 
 

@@ -195,10 +195,11 @@ def test_an_emergency_stop_replaces_the_plan_by_the_measured_posture(cell: PlanC
     assert setpoint.start[0] - START[0] == pytest.approx(0.01), "the plan of before counts no more"
 
 
+@pytest.mark.parametrize("ahead", [(2,), (2, 3)])
 def test_a_refused_row_withdraws_what_was_planned_before(
-    cell: PlanCell, monkeypatch: pytest.MonkeyPatch
+    cell: PlanCell, monkeypatch: pytest.MonkeyPatch, ahead: tuple[int, ...]
 ) -> None:
-    cell.chunk(1, 2, 3)
+    cell.chunk(1, *ahead)
     cell.position = row(1)
     cell.go(PERIOD_S)
     monkeypatch.setattr(cell.control, "_limit", lambda *_: None)

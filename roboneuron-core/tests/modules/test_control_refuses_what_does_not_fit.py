@@ -16,8 +16,6 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
-from rn_standard.control.module import ControlModule
-from rn_standard.tools_arm.limit_reports import join
 from roboneuron.config import LimitsConfig
 from roboneuron.contract import (
     CollisionProfile,
@@ -27,6 +25,8 @@ from roboneuron.contract import (
 )
 from roboneuron.errors import ConfigurationError
 from roboneuron.gate.motion import LimitedCommand
+from roboneuron.modules.control.module import ControlModule
+from roboneuron.tools.arm.limit_reports import LimitReports, join
 
 
 @pytest.fixture
@@ -277,10 +277,10 @@ def test_a_command_that_the_limits_reject_is_counted_for_the_last_of_them(cell: 
 
 
 def test_what_the_limits_do_is_recorded_until_cleanup(cell: Cell) -> None:
-    (report,) = cell.control.on_limited
+    (reports,) = (one for one in cell.control.filters if isinstance(one, LimitReports))
     held = Hold(code="limit_zone", reason="a vase")
-    report(LimitedCommand(command=held, acted=("zone",), reason="a vase", share=0.0))
-    audit = report.__self__._audit  # type: ignore[attr-defined]
+    reports.note_limited(LimitedCommand(command=held, acted=("zone",), reason="a vase", share=0.0))
+    audit = reports._audit
     assert audit._descriptor >= 0
     cell.host.resources.close()
     assert audit._descriptor < 0

@@ -92,8 +92,12 @@ def test_old_proprioception_is_never_acted_on(
         cell.send_image()
 
     assert holds_within(lambda: send_all() is None and len(cell.actions) > 0)
-    time.sleep(0.1)
-    sent = len(cell.actions)
+    # the last of these images may still be acted on
+    counts = [0]
+    while len(cell.actions) > counts[-1]:
+        counts.append(len(cell.actions))
+        holds_within(lambda: len(cell.actions) > counts[-1], 0.5)
+    sent = counts[-1]
     refused = f"dropped.old_{old}"
     assert holds_within(
         lambda: send_all(0.6) is None and f"No usable {said} for" in cell.status()["message"]
@@ -108,8 +112,12 @@ def test_answer_that_comes_too_late_for_its_image_is_dropped_and_reported(
 ) -> None:
     old, new = 'instruction = "go"', 'instruction = "go"\nmax_image_age_s = 0.2'
     cell = make_inference("slow", replace={old: new})
-    cell.send_image()
-    assert holds_within(lambda: cell.status().get("dropped.late_action") == "1")
+
+    def is_dropped() -> bool:
+        cell.send_image()
+        return holds_within(lambda: "dropped.late_action" in cell.status(), 2.0)
+
+    assert holds_within(is_dropped), "on a busy machine an image may be too old to be looked at"
     assert "The image behind row 1 of 1 was 0." in cell.status()["message"]
     assert "max_image_age_s = 0.2 are allowed" in cell.status()["message"]
     assert cell.status()["ready"] == "false"

@@ -10,11 +10,11 @@ import pytest
 from sensor_msgs.msg import Image
 from std_msgs.msg import Float64MultiArray
 
-from rn_standard.inference.agreement import agree_on_space
 from rn_testing.waiting import holds_within
 from roboneuron.config import parse_config
 from roboneuron.contract import Frame
 from roboneuron.errors import PlanningError, PluginError, RoboNeuronError
+from roboneuron.modules.inference.agreement import agree_on_space
 from roboneuron.plugins.specs import BackendSpec
 from roboneuron.ros.messages import to_image
 

@@ -11,8 +11,6 @@ import pytest
 from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import Image
 
-from rn_standard.control.module import _executed_spaces
-from rn_standard.inference.inputs import NewestInputs
 from roboneuron.contract import (
     ArmProfile,
     CameraProfile,
@@ -25,6 +23,8 @@ from roboneuron.contract import (
     RobotProfile,
 )
 from roboneuron.errors import ConfigurationError
+from roboneuron.modules.control.module import _executed_spaces
+from roboneuron.modules.inference.inputs import NewestInputs
 from roboneuron.plugins.specs import ControllerSpec
 from roboneuron.ros.messages import to_joint_state, to_pose_stamped
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
+import numpy as np
 import pytest
 from robot_cell import TIMEOUT_S, Cell, MakeHost
 from sensor_msgs.msg import JointState
@@ -109,7 +111,9 @@ def test_a_drivers_own_topics_are_heard_while_the_robot_may_move(make_host: Make
 def test_the_driver_holds_once_when_commands_cease(cell: Cell) -> None:
     cell.command(0.1, step_s=0.1)
     cell.play()
-    cell.clock.go(0.1 + TIMEOUT_S - 1e-6)
+    cell.clock.go(0.1 + TIMEOUT_S / 2)
+    cell.play()
+    cell.clock.go(TIMEOUT_S / 2 - 1e-6)
     cell.play()
     assert cell.holds == 0, "counted from the end of the last command"
     cell.clock.go(2e-6)
@@ -117,6 +121,66 @@ def test_the_driver_holds_once_when_commands_cease(cell: Cell) -> None:
     cell.play()
     assert cell.holds == 1
     assert cell.host.values()["note"] == "holding: no command"
+
+
+@pytest.mark.parametrize(
+    ("a_step", "first_hold"),
+    [(0.05, None), (1e-3, None), (2e-4, 4), (0.0, 4), (-0.05, 4), (math.nan, 4)],
+    ids=["late", "very late", "creeps", "stuck", "goes back", "unknown"],
+)
+def test_an_arm_that_is_late_is_not_held_while_it_comes_nearer(
+    cell: Cell, a_step: float, first_hold: int | None
+) -> None:
+    cell.command(0.8, step_s=0.1)
+    cell.play()
+    cell.clock.go(0.1)
+    held_at: int | None = None
+    for tick in range(12):
+        cell.driver.position = np.array([0.1 + tick * a_step, 0.0])
+        cell.reader.run()
+        cell.play()
+        if cell.holds and held_at is None:
+            held_at = tick
+        cell.clock.go(TIMEOUT_S / 4 + 1e-6)
+    assert held_at == first_hold
+    assert cell.holds == (first_hold is not None)
+
+
+def test_an_arm_that_is_late_and_measured_no_more_is_held(cell: Cell) -> None:
+    cell.command(0.8, step_s=0.1)
+    cell.play()
+    cell.clock.go(0.1)
+    cell.reader.run()
+    cell.play()
+    cell.driver.read = fails
+    for _ in range(4):
+        cell.clock.go(TIMEOUT_S / 4 + 1e-6)
+        with pytest.raises(OSError, match="unplugged"):
+            cell.reader.run()
+        cell.play()
+    assert cell.holds == 1
+
+
+def test_an_arm_is_not_held_because_its_process_was_halted(cell: Cell) -> None:
+    """Its simulation was halted as well, and has had no time to bring the arm nearer."""
+    cell.command(0.8, step_s=0.1)
+    cell.play()
+    cell.clock.go(0.1)
+    cell.reader.run()
+    cell.play()
+    for position in (0.1, 0.2, 0.3):
+        cell.clock.go(20 * TIMEOUT_S)
+        cell.play()
+        assert cell.holds == 0
+        cell.driver.position = np.array([position, 0.0])
+        cell.reader.run()
+        cell.clock.go(TIMEOUT_S / 4)
+        cell.play()
+        assert cell.holds == 0
+
+
+def fails() -> Any:
+    raise OSError("unplugged")
 
 
 def test_commands_cease_just_after_the_timeout(make_host: MakeHost) -> None:

@@ -221,3 +221,31 @@ def test_limits_are_changed_while_the_robot_runs_but_never_widened(make_host: Ma
     assert cell.sent == [(0.04, pytest.approx(0.4, rel=1e-4))]
     with pytest.raises(ConfigurationError):
         use(LimitsConfig(acceleration_fraction=0.6))
+
+
+def test_after_a_stop_a_command_begins_at_rest(cell: Cell) -> None:
+    cell.command(0.2, step_s=1.0)
+    cell.play()
+    cell.clock.go(0.5)
+    cell.driver.position = np.array([0.1, 0.0])
+    cell.reader.run()
+    cell.robot.stop("emergency_stop")
+    cell.command(0.12, step_s=0.1)
+    cell.play()
+    place, duration_s = cell.sent[-1]
+    assert place == 0.12
+    assert duration_s == pytest.approx(math.sqrt(0.02), rel=1e-3)
+
+
+def test_a_command_is_judged_by_the_state_that_was_published_last(cell: Cell) -> None:
+    def read() -> RobotState:
+        raise NotReadyError("The joint states have ceased.")
+
+    cell.reader.run()
+    cell.driver.read = read
+    cell.command(0.01)
+    assert cell.host.drops() == {}
+    with pytest.raises(NotReadyError):  # its thread reports it
+        cell.reader.run()
+    cell.command(0.01)
+    assert cell.host.drops()["not_measured"] == 1

@@ -38,7 +38,7 @@ CONTROL = FeatureSpec(
     summary="C.",
     target=TARGET,
     module=TARGET,
-    module_plan="rn_standard.control.planning:plan_control",
+    module_plan="roboneuron.modules.control.planning:plan_control",
 )
 FEATURE = FeatureSpec(
     name="inference",

@@ -1,4 +1,4 @@
-"""`roboneuron.feature`, `.command` and `.node` lazily offer what they list, and no name with
+"""`roboneuron.feature` and `.command` lazily offer what they list, and no name with
 another meaning than in `roboneuron`.
 """
 
@@ -12,7 +12,7 @@ import pytest
 
 import roboneuron
 
-LISTS = ("roboneuron.feature", "roboneuron.command", "roboneuron.node")
+LISTS = ("roboneuron.feature", "roboneuron.command")
 
 
 @pytest.mark.parametrize("of", LISTS)

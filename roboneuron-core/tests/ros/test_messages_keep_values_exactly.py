@@ -12,12 +12,6 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import CameraInfo, Image, JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from rn_standard.inference.inputs import (
-    CalibratedCamera,
-    frame_from_message,
-    pose_from_message,
-)
-from rn_standard.perception.module import to_camera_info
 from roboneuron.contract import (
     ACTION_LABEL,
     CameraCalibration,
@@ -30,6 +24,12 @@ from roboneuron.contract import (
     Pose,
 )
 from roboneuron.errors import InvalidInputError
+from roboneuron.modules.inference.inputs import (
+    CalibratedCamera,
+    frame_from_message,
+    pose_from_message,
+)
+from roboneuron.modules.perception.module import to_camera_info
 from roboneuron.ros import messages
 
 FINITE = st.floats(allow_nan=False, allow_infinity=False)

@@ -16,7 +16,6 @@ from rn_testing.fakes.site import PluginSite
 from roboneuron.plugins.specs import BackendSpec
 from roboneuron.server.app import Application
 
-sys.path.append(str(Path(__file__).parent))  # for starts_machine
 CONFIG = """
 [robot]
 name = "gantry"

@@ -198,7 +198,7 @@ def test_a_stop_that_nobody_has_seen_yet_is_not_ended_by_a_request_from_before(
     machine["robot"].stop("a fault of the robot: collision")
     machine["robot"].told.clear()
     starts._seen[machine["robot"].pid] = 1
-    with pytest.raises(RefusedError, match="stopped meanwhile: a fault of the robot: collision"):
+    with pytest.raises(RefusedError, match="meanwhile: a fault of the robot: collision"):
         starts._arm()
     assert machine["robot"].told == []
 
@@ -247,3 +247,12 @@ def test_a_policy_that_does_not_give_it_back_is_ended(
     machine["inference"].hangs = True
     starts.withdraw(ticket)
     assert machine["inference"].ended
+
+
+def test_a_policy_that_does_not_answer_cannot_obey_later(
+    machine: Machine, starts: MotionStarts
+) -> None:
+    machine["inference"].hangs = True
+    with pytest.raises(NotReadyError):
+        starts.give("pick it up", 1.0)
+    assert (starts.instruction, machine["inference"].ended) == ("", True)

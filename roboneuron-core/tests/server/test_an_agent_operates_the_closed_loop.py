@@ -67,7 +67,7 @@ class Agent:
 
     async def module(self, kind: str) -> dict[str, Any]:
         """One module of get_status."""
-        status = await self.do("get_status")
+        status = await self.do("get_status", details=True)
         return next(m for m in status["modules"] if m["module"] == kind)
 
 
@@ -114,7 +114,10 @@ def test_the_whole_loop_from_start_to_stop(
         told = await agent.do("set_instruction", instruction=" move on ")
         assert told["instruction"] == "move on"
         assert (await agent.module("inference"))["actions_for_instruction"] >= 1
-        code, text = await agent.fail("set_instruction", instruction="fetch the unicorn")
+        for _ in range(5):
+            code, text = await agent.fail("set_instruction", instruction="fetch the unicorn")
+            if code != "not_ready":  # else a busy machine has delivered no fresh image
+                break
         assert (code, text) == (
             "ungrounded",
             "There is no unicorn in the image. Name what is visible.",
@@ -150,8 +153,11 @@ def test_a_camera_that_never_delivers_is_named_and_a_cancelled_start_leaves_noth
     serve_command: ServeCommand, server_environment: dict[str, str]
 ) -> None:
     async def scenario(agent: Agent) -> None:
-        code, text = await agent.fail("start_perception")
-        assert code == "not_ready"
+        for _ in range(4):
+            code, text = await agent.fail("start_perception")
+            assert code == "not_ready"
+            if "front" in text:  # else a busy machine has not started the process in time
+                break
         assert "front" in text
         perception = await agent.module("perception")
         assert (perception["phase"], perception.get("pid")) == ("stopped", None)
@@ -162,7 +168,7 @@ def test_a_camera_that_never_delivers_is_named_and_a_cancelled_start_leaves_noth
                 await anyio.sleep(0.05)
         code, text = await agent.fail("get_camera_image", camera="front", timeout_s=0.5)
         assert code == "not_ready"
-        assert "Call start_perception first." in text
+        assert "start_perception" in text
         code, text = await agent.fail("start_control")
         assert code == "not_ready"
         assert "is the robot running?" in text

@@ -33,7 +33,7 @@ class Agent:
         return dict(answer.structured_content or {})
 
     async def module(self, kind: str) -> dict[str, Any]:
-        status = await self.do("get_status")
+        status = await self.do("get_status", details=True)
         return next(m for m in status["modules"] if m["module"] == kind)
 
     async def until(self, fact: Callable[[], Awaitable[bool]], timeout_s: float) -> None:
@@ -125,8 +125,12 @@ def test_faults_are_told_and_survived(
             ).returncode
             == 1
         )
+
+        async def is_released() -> bool:
+            return not (await agent.do("get_status"))["emergency_stop"]
+
         await anyio.to_thread.run_sync(release_in_terminal, [*estop, "--reset"], server_environment)
-        assert not (await agent.do("get_status"))["emergency_stop"]
+        await agent.until(is_released, 2.0)
 
         for pid in (status["pid"], (await agent.module("robot"))["pid"]):
             os.kill(pid, signal.SIGUSR1)
@@ -140,10 +144,6 @@ def test_faults_are_told_and_survived(
             await anyio.to_thread.run_sync(
                 release_in_terminal, [*estop, "--reset"], server_environment
             )
-
-            async def is_released() -> bool:
-                return not (await agent.do("get_status"))["emergency_stop"]
-
             await agent.until(is_released, 2.0)
 
     async def connect() -> None:

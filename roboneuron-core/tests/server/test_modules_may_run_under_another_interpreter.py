@@ -41,7 +41,7 @@ FEATURES = tuple(
         summary="F.",
         target=TARGET,
         module=TARGET,
-        module_plan=f"rn_standard.{kind}.planning:plan_{kind}",
+        module_plan=f"roboneuron.modules.{kind}.planning:plan_{kind}",
     )
     for kind in ("perception", "inference", "control")
 )
@@ -89,6 +89,6 @@ def test_a_module_that_no_feature_brings_is_refused_before_it_is_started(kind):
     offers = tuple(offer for offer in REGISTRY.all_offers if offer.spec not in FEATURES)
     registry = Registry(plugins=(), all_offers=offers)
     sections = {name: {**section, "python": "/x"} for name, section in SECTIONS.items()}
-    with pytest.raises(ConfigurationError, match="the package rn-standard brings it"):
+    with pytest.raises(ConfigurationError, match=f"There is no feature {kind!r}"):
         KIND_ENTRIES[kind].check(Config.model_validate(sections), registry)
     assert KIND_ENTRIES["robot"].check(Config.model_validate(sections), registry).plugin == "arm"

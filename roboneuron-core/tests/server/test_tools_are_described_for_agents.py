@@ -13,7 +13,6 @@ import pytest
 from mcp import Client, types
 from mcp.shared.exceptions import MCPError
 
-from rn_standard.tools_loop.results import ModuleStatus
 from rn_testing.fakes import fake_registry
 from roboneuron.config import Config
 from roboneuron.modules.report import Report
@@ -22,6 +21,7 @@ from roboneuron.plugins.specs import DriverSpec, RobotSpec
 from roboneuron.server.app import Application
 from roboneuron.server.tool import CallContext, NoArguments, Result, Tool
 from roboneuron.supervisor.health import ModuleView
+from roboneuron.tools.loop.results import ModuleStatus
 
 TOOLS = {
     *("start_robot", "start_perception", "start_control", "start_inference", "set_instruction"),
@@ -138,7 +138,7 @@ def test_lists_are_answered_with_the_same_hints_also_when_empty(
 def test_the_status_of_nothing_is_short_and_fits_its_whole_schema(application: Application) -> None:
     status = call(application, "get_status").structured_content
     assert status is not None
-    assert len(json.dumps(status)) < 1200, "it was 2.7 kB, mostly null"
+    assert len(json.dumps(status)) < 1400, "it was 2.7 kB, mostly null"
     assert all(
         value not in (None, "", {}, []) for module in status["modules"] for value in module.values()
     )
@@ -229,3 +229,29 @@ def test_what_a_plugin_reports_is_cut_in_the_status() -> None:
     assert told["metrics"] == told["detail"] == dict(list(long.items())[: len(told["metrics"])])
     assert len(json.dumps(told)) < 20_000, "four of them stay below what an answer may hold"
     assert told["note"].endswith("(90000 characters)")
+
+
+def test_metrics_and_times_are_told_on_request_only() -> None:
+    report = Report(
+        rate_hz=5.0,
+        latency_ms=1.0,
+        age_ms=2.0,
+        loop_age_s=0.1,
+        metrics={"x": "1"},
+        dropped_by={"late": 1},
+        received_s=time.monotonic(),
+    )
+    view = ModuleView(kind="control", phase="running", report=report)
+    short = ModuleStatus.of(view, details=False).model_dump(exclude_unset=True)
+    whole = ModuleStatus.of(view).model_dump(exclude_unset=True)
+    assert whole.keys() - short.keys() == {
+        *("metrics", "dropped_by", "latency_ms", "age_ms", "loop_age_s", "report_age_s"),
+    }
+    assert short["rate_hz"] == 5.0
+
+
+def test_versions_come_with_the_details(application: Application) -> None:
+    told = call(application, "get_status", {"details": True}).structured_content
+    assert told is not None
+    assert told["versions"]["roboneuron"]
+    assert "versions" not in (call(application, "get_status").structured_content or {})

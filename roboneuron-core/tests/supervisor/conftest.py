@@ -8,6 +8,8 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 import pytest
+from shells import ENVIRONMENT, Spawn, end_now
+from stop_world import World
 
 from rn_testing.domain import free_ros_domain
 from roboneuron.config import Config, parse_config
@@ -16,11 +18,6 @@ from roboneuron.supervisor import process as process_module
 from roboneuron.supervisor import supervisor as supervisor_module
 from roboneuron.supervisor.process import ModuleProcess, ProcessEvents, spawn
 from roboneuron.supervisor.supervisor import Supervisor
-
-sys.path.append(str(Path(__file__).parent))  # for stop_world and shells
-
-from shells import ENVIRONMENT, Spawn, end_now
-from stop_world import World
 
 FAKE_MODULE = Path(__file__).with_name("fake_module.py")
 

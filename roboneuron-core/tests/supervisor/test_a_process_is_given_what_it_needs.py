@@ -15,7 +15,7 @@ from shells import SOON_S, Spawn, await_line
 
 from rn_testing.waiting import wait_until
 from roboneuron.errors import NotReadyError
-from roboneuron.supervisor import process as process_module
+from roboneuron.log_files import read_tail
 from roboneuron.supervisor.process import ProcessEvents, spawn
 
 pytestmark = pytest.mark.timeout(60)
@@ -139,7 +139,7 @@ def test_listeners_are_shown_the_living_process(start: Spawn) -> None:
 
 
 def read(path: Path, **options: int) -> tuple[str, ...]:
-    return process_module.read_tail(path, **({"lines": 3} | options))
+    return read_tail(path, **({"lines": 3} | options))
 
 
 def test_the_tail_of_no_file_is_empty(tmp_path: Path) -> None:

@@ -123,9 +123,9 @@ class RoboNeuron(Robot):
         self._topics = robot
 
     def get_observation(self) -> dict[str, float | np.ndarray]:
-        """Newest joints and images. Raises NotReadyError if one is too old."""
+        """Newest joints and images. Raises NotReadyError if one is too old, or not measured."""
         topics, config = self._connected(), self.config
-        values = self._motors.values(topics.joints(config.state_timeout_s))
+        values = self._motors.measured_values(topics.joints(config.state_timeout_s))
         images = {name: topics.image(name, config.image_timeout_s) for name in self.cameras}
         return {**values, **images}
 
@@ -146,7 +146,7 @@ class RoboNeuron(Robot):
         if reason and not self._is_held:
             log.warning("The arm does not follow: %s", reason)
         self._is_held = bool(reason)
-        return self._motors.values(measured | (sent or {}))
+        return self._motors.measured_values(measured | (sent or {}))
 
     def disconnect(self) -> None:
         """Disconnect: control holds the arm within its timeout. A server started by `connect` is

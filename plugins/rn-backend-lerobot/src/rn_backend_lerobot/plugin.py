@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from roboneuron import ActionSpace, BackendSpec, Requirement, hookimpl
+from roboneuron import PICK_AND_PLACE, ActionSpace, BackendSpec, Requirement, hookimpl
 
 _INSTALL = 'pip install "lerobot>=0.6.1,<0.7" in an environment of Python 3.12 or newer'
 BACKEND = BackendSpec(
@@ -31,6 +31,7 @@ BACKEND = BackendSpec(
     action_space=ActionSpace(horizon=100, step_s=0.0),
     conditions_on_rows=True,
     space="rn_backend_lerobot.space:lerobot_space",
+    verbs=PICK_AND_PLACE,
 )
 """Descriptor. `space` checks which cameras a policy needs, from its checkpoint."""
 

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from lerobot_cell import NAMES, RATE_HZ, Load, sizes_of
 
 from rn_backend_lerobot.backend import LeRobotBackend
 from rn_backend_lerobot.options import LeRobotOptions
 from rn_backend_lerobot.tiny import POLICIES, make_tiny
 from roboneuron.plugins.availability import is_importable
-
-sys.path.insert(0, str(Path(__file__).parent))  # lerobot_cell.py is beside the tests
-from lerobot_cell import NAMES, RATE_HZ, Load, sizes_of
 
 collect_ignore_glob = [] if is_importable("lerobot") else ["test_*.py"]
 

@@ -17,9 +17,9 @@ from lerobot_loops import Call, RealTime
 from rn_backend_lerobot.backend import LeRobotBackend
 from rn_backend_lerobot.exchange import PolicyChunk
 from rn_backend_lerobot.plugin import BACKEND
-from rn_standard.execution.feature import make_executor
-from rn_standard.inference import execution
 from roboneuron import Ahead
+from roboneuron.modules.execution.feature import AdaptiveExecution
+from roboneuron.modules.inference import execution
 
 HORIZON, LEFT = 10, 3
 """Number of guided rows, and of rows left to be executed."""
@@ -64,7 +64,7 @@ def test_lerobot_skips_the_first_rows_of_the_first_chunk_and_keeps_the_delay(
 def test_here_the_first_chunk_is_played_from_its_first_row(load: Load) -> None:
     """With a virtual clock: one answer as slow as that, then twenty of 40 ms."""
     backend = load("smolvla", action_steps=16)
-    executor = make_executor(BACKEND, "rtc", execution.Bounds(first_s=9.0))
+    executor = AdaptiveExecution().executor(BACKEND, "rtc", execution.Bounds(first_s=9.0))
     executor.begin_epoch()
     now_s, played, committed = 1.0, [], []
     for number in range(21):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from roboneuron import ActionSpace, BackendSpec, Requirement, hookimpl
+from roboneuron import PICK_AND_PLACE, ActionSpace, BackendSpec, Requirement, hookimpl
 
 MAX_CHUNK = 25
 """Largest number of actions per inference."""
@@ -33,6 +33,7 @@ def _spec(name: str, summary: str, target: str, case: str, cameras: tuple[str, .
         family="openvla-oft",
         runtimes_required=True,
         default_runtime="torch",
+        verbs=PICK_AND_PLACE,
     )
 
 

@@ -16,9 +16,10 @@ from rn_backend_openpi import metadata
 from rn_backend_openpi.interface import layout_of
 from rn_backend_openpi.key import check_url, read_key, read_key_variable
 from rn_backend_openpi.layout import Layout
-from rn_backend_openpi.metadata import STEP, TIME_LEFT, Told
+from rn_backend_openpi.metadata import STEP, Told
 from rn_backend_openpi.options import OpenpiOptions
 from rn_backend_openpi.plugin import MOST_ROWS
+from rn_backend_shared.messages import RESERVED
 from roboneuron import (
     ActionChunk,
     ArmState,
@@ -170,7 +171,7 @@ class OpenpiBackend:
             request |= {"endpoint": "infer", "session_id": session.identity}
         left_s = timeout_s - (time.monotonic() - start)
         if told.is_roboneuron:
-            request[TIME_LEFT] = max(left_s, 0.0)
+            request[RESERVED] = {"left_s": max(left_s, 0.0)}
         reply = client.infer(request, left_s)
         served = self._served(reply, rows.width)
         metrics = {

@@ -27,7 +27,8 @@ from rn_backend_openpi.rows import (
     joints_by_arm,
     pose_channels,
 )
-from rn_backend_openpi.state import StateCodec, TermState, WholeState
+from rn_backend_openpi.state import StateCodec, TermState
+from rn_backend_shared.state import WholeState
 from rn_vla.tcp_actions import ActionLayout
 from rn_vla.tcp_profiles import PROFILES
 from rn_vla.tcp_state import StateLayout

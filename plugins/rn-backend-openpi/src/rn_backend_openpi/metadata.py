@@ -8,14 +8,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from rn_backend_openpi.layout import Layout, Size
-from rn_backend_openpi.wire import Value
+from rn_backend_shared.wire import Value
 from roboneuron import Channel, ConfigurationError, ControlSpace, InvalidInputError
 
 PROTOCOL = 1
 """Version of the metadata that RoboNeuron's server adds to openpi's."""
 SERVER = "roboneuron"
-TIME_LEFT = "roboneuron/time_left_s"
-"""Entry of a request to RoboNeuron's server: time [s] after which the answer is useless."""
 STEP = "step_s"
 """Entry of its answers: time between two rows [s]."""
 _ARENA_SPACES = {

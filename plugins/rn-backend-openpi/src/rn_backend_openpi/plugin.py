@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from roboneuron import ActionSpace, BackendSpec, CommandSpec, Requirement, hookimpl
+from roboneuron import PICK_AND_PLACE, ActionSpace, BackendSpec, CommandSpec, Requirement, hookimpl
 
 _INSTALL = "pip install msgpack websockets"
 _MODULES = tuple(Requirement(module=m, install=_INSTALL) for m in ("msgpack", "websockets"))
@@ -24,6 +24,7 @@ BACKEND = BackendSpec(
     needs_state=True,
     action_space=ActionSpace(horizon=MOST_ROWS, step_s=0.0),
     space="rn_backend_openpi.space:openpi_space",
+    verbs=PICK_AND_PLACE,
 )
 """Descriptor of the backend."""
 COMMAND = CommandSpec(

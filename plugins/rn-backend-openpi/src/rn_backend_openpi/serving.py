@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Hashable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Protocol, cast
 
 import numpy as np
@@ -12,13 +12,16 @@ import numpy as np
 from rn_backend_openpi import metadata
 from rn_backend_openpi.interface import layout_of
 from rn_backend_openpi.layout import Layout
-from rn_backend_openpi.metadata import STEP, TIME_LEFT
+from rn_backend_openpi.metadata import STEP
 from rn_backend_openpi.options import PLAIN, OpenpiOptions
 from rn_backend_openpi.plugin import BACKEND
-from rn_backend_openpi.wire import Value, unpack
 from rn_backend_shared.batching import Answer, Batcher, Waiting
+from rn_backend_shared.conversations import PolicyRequest, Reply
+from rn_backend_shared.fields import number, table
+from rn_backend_shared.messages import RESERVED
 from rn_backend_shared.model import SharedModel
 from rn_backend_shared.options import SharedOptions
+from rn_backend_shared.wire import Value, unpack
 from roboneuron import (
     EE_DELTA,
     ActionChunk,
@@ -36,19 +39,6 @@ from roboneuron.command import Config, Registry, load_profile, loading
 
 _RATE_SHARE = 0.02
 """Relative tolerance between a chunk's period and the profile's: rates are given in whole Hz."""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class PolicyRequest:
-    """One request, decoded.
-
-    Attributes:
-        observation: input of the backend.
-        left_s: time within which an answer is useful [s].
-    """
-
-    observation: Observation
-    left_s: float
 
 
 class Model(Protocol):
@@ -123,7 +113,7 @@ class ServedPolicy:
         layout = self._layout
         return f"backend {self._spec.name}, profile {layout.name}, {layout.rows.space.kind}"
 
-    def metadata(self) -> dict[str, Value]:
+    def first(self) -> dict[str, Value]:
         """The server's first message to a client."""
         if self._dialect == "roboarena":
             return metadata.describe_arena(self._layout)
@@ -134,8 +124,8 @@ class ServedPolicy:
             horizon=self._spec.action_space.horizon,
         )
 
-    def read(self, data: str | bytes) -> PolicyRequest | None:
-        """Decode a request; None for one that begins an episode, which the backend need not answer.
+    async def read(self, data: str | bytes) -> PolicyRequest | Reply:
+        """Decode a request; one that begins an episode is answered at once.
 
         Raises:
             InvalidInputError: it is malformed; the message names the entry.
@@ -148,33 +138,23 @@ class ServedPolicy:
             raise InvalidInputError("A request is a map, this one is an array.")
         endpoint = request.get("endpoint", "infer")
         if endpoint == "reset":
-            return None
+            return {"status": "reset successful"}
         if endpoint != "infer":
             raise InvalidInputError(f"There is no endpoint {str(endpoint)[:40]!r}.")
         observation = self._layout.observation_of(
             request, needed=self._spec.cameras, has_state=self._spec.needs_state
         )
         most_s = self._options.answer_timeout_s
-        left_s = request.get(TIME_LEFT, most_s)
-        if not isinstance(left_s, float | int) or not left_s >= 0.0:
-            raise InvalidInputError(f"{TIME_LEFT} is {left_s!r}, expected seconds.")
-        return PolicyRequest(observation=observation, left_s=min(float(left_s), most_s))
+        own = table(request.get(RESERVED, {}), RESERVED)
+        left_s = number(own.get("left_s", most_s), "left_s", 0.0)
+        return PolicyRequest(observation=observation, left_s=min(left_s, most_s))
 
-    def submit(
-        self,
-        question: PolicyRequest,
-        tell: Callable[[Answer], object],
-        *,
-        client: Hashable = None,
-        connection: object = None,
-    ) -> None:
+    def submit(self, question: PolicyRequest, tell: Callable[[Answer], object]) -> None:
         """Queue a request; `tell` is called once with its answer, on the model's thread.
 
         Args:
             question: decoded request.
             tell: callback for the answer.
-            client: see `Waiting`.
-            connection: likewise.
 
         Raises:
             NotReadyError: the queue is full.
@@ -188,8 +168,6 @@ class ServedPolicy:
                 observation=question.observation,
                 deadline_s=deadline_s,
                 tell=tell,
-                client=client,
-                connection=connection,
             )
         )
 

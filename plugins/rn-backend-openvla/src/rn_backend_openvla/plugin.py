@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from roboneuron import ActionSpace, BackendSpec, Requirement, hookimpl
+from roboneuron import PICK_AND_PLACE, ActionSpace, BackendSpec, Requirement, hookimpl
 
 _REQUIRES = (
     Requirement(module="torch", install="pip install torch (which build: README.md, PyTorch)"),
@@ -29,6 +29,7 @@ def _spec(name: str, summary: str, target: str, case: str, needs_state: bool) ->
         family="openvla",
         runtimes_required=True,
         default_runtime="torch",
+        verbs=PICK_AND_PLACE,
     )
 
 

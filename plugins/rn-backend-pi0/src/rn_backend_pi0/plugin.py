@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from roboneuron import ActionSpace, BackendSpec, Requirement, hookimpl
+from roboneuron import PICK_AND_PLACE, ActionSpace, BackendSpec, Requirement, hookimpl
 
 _NATIVE = "pip install torch safetensors tokenizers"
 _NATIVE_MODULES = tuple(
@@ -31,6 +31,7 @@ def roboneuron_backends() -> Sequence[BackendSpec]:
             action_space=_SPACE,
             conditions_on_rows=True,
             space="rn_backend_pi0.space:pi0_space",
+            verbs=PICK_AND_PLACE,
         ),
         BackendSpec(
             name="pi0-fast",
@@ -45,5 +46,6 @@ def roboneuron_backends() -> Sequence[BackendSpec]:
             needs_checkpoint=True,
             action_space=_SPACE,
             space="rn_backend_pi0.space:pi0_space",
+            verbs=PICK_AND_PLACE,
         ),
     ]

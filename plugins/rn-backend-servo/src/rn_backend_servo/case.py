@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rn_backend_servo.plugin import roboneuron_backends
-from rn_standard.sight.contract_cases import SIDE_PX, overhead_camera, paint_cubes
 from rn_testing.cases import BackendCase
+from rn_testing.fakes.painted_table import SIDE_PX, overhead_camera, paint_cubes
 from roboneuron import (
     ArmProfile,
     ArmState,

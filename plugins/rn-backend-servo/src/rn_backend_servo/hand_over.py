@@ -13,8 +13,7 @@ from rn_backend_servo.options import HandOverOptions
 from rn_backend_servo.phases import OPEN, Phase
 from rn_backend_servo.policy import PickPolicy
 from rn_backend_servo.sight import Sighting
-from rn_standard.sight.view import matrix_of
-from roboneuron import Action, ArmState, Pose, UngroundedError, apply_delta
+from roboneuron import Action, ArmState, Pose, UngroundedError, apply_delta, matrix_of
 
 F64 = NDArray[np.float64]
 

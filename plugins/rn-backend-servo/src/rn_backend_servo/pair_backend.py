@@ -16,7 +16,6 @@ from rn_backend_servo.options import HandOverOptions
 from rn_backend_servo.phases import Phase
 from rn_backend_servo.sight import look, not_visible
 from rn_backend_servo.watch import FrameWatch
-from rn_standard.sight.pose_history import PoseHistory
 from roboneuron import (
     GRIPPER,
     ActionChunk,
@@ -30,6 +29,7 @@ from roboneuron import (
     RobotProfile,
     UnsafeError,
 )
+from roboneuron.sight.pose_history import PoseHistory
 
 
 def hand_over_space(options: Mapping[str, object], profile: RobotProfile) -> ControlSpace:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rn_backend_servo.geometry import quarter_turn_near
-from rn_standard.sight.cube import CubeEstimate
+from roboneuron.sight.cube import CubeEstimate
 
 F64 = NDArray[np.float64]
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from roboneuron import ActionSpace, BackendSpec, hookimpl
+from rn_backend_servo.instruction import VERBS
+from roboneuron import ActionSpace, BackendSpec, Verb, hookimpl
 
 MAX_ROWS = 32
 """Largest value of the option `rows`."""
@@ -26,6 +27,7 @@ def roboneuron_backends() -> Sequence[BackendSpec]:
             needs_state=True,
             action_space=ActionSpace(horizon=MAX_ROWS, step_s=0.1),
             conditions_on_rows=True,
+            verbs=(Verb(words=VERBS, achieves="lifted"),),
         ),
         BackendSpec(
             name="servo-pair",

@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rn_backend_servo.options import ServoOptions
-from rn_standard.sight.cube import CubeEstimate, measure_cube
-from rn_standard.sight.segmentation import find_blob, visible_colours
-from rn_standard.sight.view import CameraView
-from roboneuron import Frame, UngroundedError
+from roboneuron import CameraView, Frame, UngroundedError
+from roboneuron.sight.cube import CubeEstimate, measure_cube
+from roboneuron.sight.segmentation import find_blob, visible_colours
 
 F64 = NDArray[np.float64]
 

@@ -6,8 +6,8 @@ import time
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from rn_backend_shared import wire
 from rn_backend_shared.links import Links
+from rn_backend_shared.messages import raise_told
 from rn_backend_shared.options import SharedOptions
 from rn_backend_shared.plugin import BACKEND
 from rn_backend_shared.remote import RemoteLink
@@ -67,7 +67,7 @@ class SharedBackend:
             return None
         told = self._links.describe(profile)
         if told.refusal is not None:
-            wire.to_answer(told.refusal)
+            raise_told(told.refusal)
         if told.space is None:
             raise ConfigurationError(
                 f"The server {self._options.address} does not give the control space of its model.",

@@ -1,6 +1,5 @@
-"""Queue and batches of the model: each client gets a fair share, and within it each of its
-connections. Those with equal shares are ordered by deadline. A batch is as large as can be answered
-in time.
+"""Queue and batches of the model: connections in turn, and a batch as large as can be answered in
+time.
 """
 
 from __future__ import annotations
@@ -8,8 +7,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections import Counter
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from roboneuron import ActionChunk, NotReadyError, Observation, PluginError, RoboNeuronError
@@ -33,105 +31,16 @@ class Waiting:
         observation: input of the model.
         deadline_s: monotonic time after which the answer is useless [s].
         tell: called once with the answer, on the model's thread; must not block for long.
-        client: the requester, by its key or address: all its connections together get one share.
-        connection: connection of the client, compared by identity; each gets an equal part of that
-            share.
+        connection: its sender, compared by identity; None for one of its own. A newer observation
+            takes the place of one of the same connection that waits.
         since_s: monotonic time of queueing [s]; set by `Batcher.submit`.
     """
 
     observation: Observation
     deadline_s: float
     tell: Callable[[Answer], object]
-    client: Hashable = None
     connection: object = None
     since_s: float = 0.0
-
-
-class Turns:
-    """Service received by each of several queues: start-time fair queueing with a cost of one for
-    each answer.
-
-    The next start time of a queue is one after its last, but never before that of the last service.
-    So a queue gains nothing by being idle, and one with more requests than others comes after them.
-    Source: Goyal, Vin, Cheng: Start-time Fair Queueing (1996).
-    """
-
-    def __init__(self) -> None:
-        self._now = 0
-        self._next: dict[Hashable, int] = {}
-
-    def order(self, queues: Mapping[Hashable, Sequence[Waiting]]) -> list[Waiting]:
-        """All waiting observations in order of service; the order within a queue is kept."""
-        keys = [
-            (self._turn(name) + place, one.deadline_s, one)
-            for name, queue in queues.items()
-            for place, one in enumerate(queue)
-        ]
-        return [one for *_, one in sorted(keys, key=lambda key: key[:2])]
-
-    def note(self, served: Sequence[Hashable]) -> None:
-        """Count one answer for each of these queues."""
-        turns = []
-        for name in served:
-            turns.append(self._turn(name))
-            self._next[name] = turns[-1] + 1
-        self._now = max([self._now, *turns])
-        self._next = {name: turn for name, turn in self._next.items() if turn > self._now}
-
-    def _turn(self, name: Hashable) -> int:
-        return max(self._next.get(name, 0), self._now)
-
-
-class Shares:
-    """Fair shares of clients, and of the connections of each."""
-
-    def __init__(self) -> None:
-        self._clients = Turns()
-        self._connections: dict[Hashable, Turns] = {}
-
-    def order(self, waiting: Sequence[Waiting], most: int) -> list[Waiting]:
-        """The first `most` waiting observations in order of service."""
-        by_deadline = sorted(waiting, key=lambda one: one.deadline_s)
-        queues = {
-            client: self._connections.get(client, Turns()).order(_grouped(own, _connection))
-            for client, own in _grouped(by_deadline, _client).items()
-        }
-        return self._clients.order(queues)[:most]
-
-    def note(self, served: Sequence[Waiting]) -> None:
-        """Count answered observations."""
-        self._clients.note([one.client for one in served])
-        for client, own in _grouped(served, _client).items():
-            turns = self._connections.setdefault(client, Turns())
-            turns.note([_connection(one) for one in own])
-
-    def settle(self, waiting: Sequence[Waiting]) -> None:
-        """Discard the counts of connections whose client waits for nothing; if nothing waits at
-        all, discard the counts of clients too.
-        """
-        if not waiting:
-            self._clients = Turns()
-        clients = {one.client for one in waiting}
-        self._connections = {
-            client: turns for client, turns in self._connections.items() if client in clients
-        }
-
-
-def _client(waiting: Waiting) -> Hashable:
-    return waiting.client
-
-
-def _connection(waiting: Waiting) -> Hashable:
-    return id(waiting.connection)
-
-
-def _grouped(
-    waiting: Sequence[Waiting], by: Callable[[Waiting], Hashable]
-) -> dict[Hashable, list[Waiting]]:
-    groups: dict[Hashable, list[Waiting]] = {}
-    for one in waiting:
-        groups.setdefault(by(one), []).append(one)
-    return groups
 
 
 class Batcher:
@@ -140,10 +49,9 @@ class Batcher:
     Args:
         predict: one answer for each observation; called on the batcher's thread only.
         most: largest number of observations in one batch.
-        waiting: largest number of queued observations. Beyond it the client with the most loses
-            one; within a client, the connection with the most.
+        waiting: largest number of queued observations; further ones are refused.
         linger_s: time that an idle server's first observation waits for others [s].
-        clients: number of clients; when all of them wait, the batch starts at once.
+        clients: number of connections; when all of them wait, the batch starts at once.
         clock: monotonic time [s].
     """
 
@@ -164,7 +72,6 @@ class Batcher:
         self._clients = clients
         self._clock = clock
         self._waiting: list[Waiting] = []
-        self._shares = Shares()
         self._changed = threading.Condition()
         self._expected_s: dict[int, float] = {}
         self._is_over = False
@@ -176,39 +83,27 @@ class Batcher:
         Raises:
             NotReadyError: the queue is full.
         """
+        queued = replace(waiting, since_s=self._clock())
         with self._changed:
-            given_up = self._given_up(waiting)
-            self._waiting = [one for one in self._waiting if one is not given_up]
-            self._waiting.append(replace(waiting, since_s=self._clock()))
+            if self._is_over:
+                raise NotReadyError("The shared model is being stopped.")
+            older = self._older(waiting.connection)
+            if older is None:
+                if len(self._waiting) >= self._most_waiting:
+                    raise _full(len(self._waiting))
+                self._waiting.append(queued)
+            else:
+                self._waiting[self._waiting.index(older)] = queued
             self._changed.notify()
-        if given_up is not None:
-            _tell(given_up, _full(self._most_waiting))
+        if older is not None:
+            _tell(older, NotReadyError("A newer observation of this robot has come."))
 
-    def _given_up(self, newest: Waiting) -> Waiting | None:
-        """The observation to be dropped from a full queue for a new one; None while the queue is
-        not full.
-
-        Raises:
-            NotReadyError: no other client has more observations there, and no other connection of
-                this client has more.
-        """
-        if self._is_over:
-            raise NotReadyError("The shared model is being stopped.")
-        if len(self._waiting) < self._most_waiting:
+    def _older(self, connection: object) -> Waiting | None:
+        """The observation of a connection that waits already."""
+        if connection is None:
             return None
-        counts = Counter(one.client for one in self._waiting)
-        greedy, most = counts.most_common(1)[0]
-        is_fair = counts[newest.client] + 1 < most
-        client = greedy if is_fair else newest.client
-        own = [one for one in self._waiting if one.client == client]
-        of_connections = Counter(_connection(one) for one in own)
-        connection, most = of_connections.most_common(1)[0] if own else (None, 0)
-        if not is_fair and of_connections[_connection(newest)] + 1 >= most:
-            raise _full(len(self._waiting))
-        return max(
-            (one for one in own if _connection(one) == connection),
-            key=lambda one: one.deadline_s,
-        )
+        own = (one for one in self._waiting if one.connection is connection)
+        return next(own, None)
 
     @property
     def waiting(self) -> int:
@@ -241,15 +136,15 @@ class Batcher:
     def take(self) -> tuple[list[Waiting], list[Waiting]]:
         """Remove and return the next batch, and the observations whose deadline has passed.
 
-        Clients are served by fair shares, see `Shares`, and at equal shares by earliest deadline.
-        The first observation of the batch limits its size. Others that this batch would answer too
-        late stay in the queue.
+        Connections are served in turn, in the order in which their observations came. The first
+        observation of the batch limits its size. Others that this batch would answer too late stay
+        in the queue.
         """
         now_s = self._clock()
         with self._changed:
             late = [waiting for waiting in self._waiting if waiting.deadline_s <= now_s]
             good = [waiting for waiting in self._waiting if waiting.deadline_s > now_s]
-            in_order = self._shares.order(good, self._most)
+            in_order = good[: self._most]
             count = wanted = len(in_order)
             while count > 1 and now_s + self.expected_s(count) > in_order[0].deadline_s:
                 count -= 1
@@ -261,10 +156,8 @@ class Batcher:
                 for place, waiting in enumerate(in_order[:count])
                 if not place or waiting.deadline_s >= end_s
             ]
-            self._shares.note(batch)
             taken = {id(waiting) for waiting in batch}
             self._waiting = [waiting for waiting in good if id(waiting) not in taken]
-            self._shares.settle(self._waiting)
             return batch, late
 
     def step(self) -> None:
@@ -331,7 +224,7 @@ class Batcher:
 def _full(count: int) -> NotReadyError:
     return NotReadyError(
         f"The shared model has {count} observations waiting; no more are accepted.",
-        hint="Fewer robots, a faster model, or more replicas.",
+        hint="Fewer robots, a faster model, or another server.",
     )
 
 

@@ -73,7 +73,8 @@ class Reflex:
         for observation in observations:
             if observation.instruction == "crash":
                 raise InvalidInputError("not that")
-            state = [*observation.joints.position[:1], *observation.ee_pose.position_m, observation.gripper_open]
+            joints = sorted(zip(observation.joints.names, observation.joints.position, strict=True))
+            state = [joints[0][1], *observation.ee_pose.position_m, observation.gripper_open]
             if not np.isfinite([*observation.joints.position, *state]).all():
                 raise UnsafeError("the state is not finite")
             image = observation.frames["primary"].image

@@ -14,8 +14,6 @@ from types import MappingProxyType
 
 import numpy as np
 
-from rn_backend_shared import wire
-from rn_backend_shared.frames import Document
 from rn_backend_shared.images import (
     CODINGS,
     CROPPED,
@@ -27,6 +25,7 @@ from rn_backend_shared.images import (
     fit,
     image_bytes,
 )
+from rn_backend_shared.messages import RESERVED, Document, from_observation, image_key
 from rn_backend_shared.options import SharedOptions
 from roboneuron import (
     ActionChunk,
@@ -210,7 +209,7 @@ class Coder:
         chunk = self._timed(fitted, coding, ask, deadline_s, is_fitted=True)
         if self._options.coding == "auto":
             self._choose(chunk)
-        return replace(chunk, metrics={**chunk.metrics, **self._parity})
+        return chunk
 
     def _next(self) -> Coding:
         self._count += 1
@@ -254,19 +253,21 @@ class Coder:
         is_fitted: bool,
     ) -> ActionChunk:
         begun_s = time.monotonic()
-        document = wire.from_observation(observation)
+        document, size = from_observation(observation), 0
         for role, frame in observation.frames.items():
             coded = encode_image(frame.image, coding, self._options.quality)
-            document["frames"][role]["image"] = coded
+            document[image_key(role)] = coded
+            size += image_bytes(coded)
             if is_fitted and role in self._crops:
-                document["frames"][role][CROPPED] = True
-        coding_s, size = time.monotonic() - begun_s, image_bytes(document)
+                document[RESERVED]["frames"][role][CROPPED] = True
+        coding_s = time.monotonic() - begun_s
         chunk = ask(document, deadline_s)
         self._meter.note(coding, size, coding_s, chunk.metrics[_LINK] / 1e3)
         own = {
             "shared.coding_ms": coding_s * 1e3,
             "shared.coding": float(CODINGS.index(coding)),
             "shared.image_kb": size / 1e3,
+            **(self._parity or {}),
         }
         return replace(chunk, metrics={**chunk.metrics, **own})
 

@@ -6,8 +6,6 @@ import logging
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-from roboneuron import ConfigurationError
-
 
 class SharedModelCommand:
     """Serve the model of [plugins.shared] in this process until Ctrl-C or SIGTERM.
@@ -21,9 +19,6 @@ class SharedModelCommand:
         parser.add_argument(
             "--config", type=Path, metavar="FILE", help="a roboneuron.toml with [plugins.shared]"
         )
-        parser.add_argument(
-            "--replica", type=int, default=0, metavar="N", help="number of the replica, from 0"
-        )
 
     def run(self, arguments: Namespace) -> int:
         """Serve."""
@@ -35,11 +30,5 @@ class SharedModelCommand:
 
         options = loading.load_options(BACKEND, load_config(arguments.config).options(BACKEND.name))
         assert isinstance(options, SharedOptions)
-        if not 0 <= arguments.replica < options.replicas:
-            raise ConfigurationError(
-                f"There is no replica {arguments.replica}; replicas = {options.replicas}."
-            )
         logging.getLogger("rn_backend_shared").setLevel(logging.INFO)
-        return serve(
-            options, directory_of(options) / f"{options.identity()}-{arguments.replica}.sock", None
-        )
+        return serve(options, directory_of(options) / f"{options.identity()}.sock", None)

@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rn_backend_shared.fields import array, field, integer
-from rn_backend_shared.frames import Document
 from roboneuron import (
+    MAX_SIDE_PX,
     ForeignDataError,
     Frame,
     InvalidInputError,
+    frame_from_compressed,
 )
 
 Coding = Literal["raw", "png", "jpeg"]
@@ -24,7 +25,6 @@ Size = tuple[int, int]
 """Width and height [px]."""
 Rectangle = tuple[int, int, int, int]
 """Left, top, width and height [px]."""
-MOST_SIDE_PX = 8192
 CROPPED = "cropped"
 """Entry of a sent frame: True if the robot has cropped it."""
 _PNG_LEVEL = 1
@@ -104,34 +104,23 @@ def decode_image(value: object) -> NDArray[np.uint8]:
     if isinstance(value, np.ndarray):
         raw: NDArray[np.uint8] = array(value, "an image", "|u1", (None, None, 3))
         return raw
-    from PIL import Image, UnidentifiedImageError  # heavy
-
     coding = field(value, "coding")
     height, width = (
-        integer(field(value, name), name, 1, MOST_SIDE_PX) for name in ("height", "width")
+        integer(field(value, name), name, 1, MAX_SIDE_PX) for name in ("height", "width")
     )
     data = array(field(value, "data"), "data of an image", "|u1", (None,))
     if coding not in ("png", "jpeg"):
         raise ForeignDataError("the coding of an image is unknown")
     try:
-        with Image.open(io.BytesIO(data.tobytes()), formats=(coding,)) as opened:
-            # checked before decompression: a small file can contain a large image
-            if opened.size != (width, height) or opened.mode != "RGB":
-                raise ForeignDataError(f"an image of {opened.size} {opened.mode} was not announced")
-            decoded: NDArray[np.uint8] = np.asarray(opened, dtype=np.uint8)
-    except ForeignDataError:
-        raise
-    except (OSError, ValueError, SyntaxError, EOFError, UnidentifiedImageError) as error:
-        raise ForeignDataError(f"an image cannot be decoded: {error}") from error
-    except Image.DecompressionBombError as error:
-        raise ForeignDataError("an image is larger than allowed") from error
+        decoded: NDArray[np.uint8] = frame_from_compressed(data, coding)
+    except InvalidInputError as error:
+        raise ForeignDataError(error.message.rstrip(".")) from error
+    if decoded.shape != (height, width, 3):
+        raise ForeignDataError(f"an image of {decoded.shape} was not announced")
     return decoded
 
 
-def image_bytes(document: Document) -> int:
-    """Size of the coded images of an observation in bytes."""
-    total = 0
-    for frame in document["frames"].values():
-        image = frame["image"]
-        total += (image if isinstance(image, np.ndarray) else image["data"]).nbytes
-    return total
+def image_bytes(image: object) -> int:
+    """Size of a coded image in bytes."""
+    data = image["data"] if isinstance(image, dict) else image
+    return int(np.asarray(data).nbytes)

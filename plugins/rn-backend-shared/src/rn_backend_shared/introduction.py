@@ -7,9 +7,9 @@ from __future__ import annotations
 from xml.sax.saxutils import quoteattr
 
 from rn_backend_shared.fields import field, integer, items, number, text
-from rn_backend_shared.frames import Document
-from rn_backend_shared.images import MOST_SIDE_PX
+from rn_backend_shared.messages import Document
 from roboneuron import (
+    MAX_SIDE_PX,
     ArmProfile,
     CameraProfile,
     GripperProfile,
@@ -17,10 +17,6 @@ from roboneuron import (
     robot_space,
 )
 
-ROBOT = "robot"
-"""Entry of an introduction."""
-CLIENT = "client"
-"""Entry of an introduction on a local socket: the client whose share the connection uses."""
 _MOST_JOINTS = 256
 _MOST_ARMS = 8
 _MOST_CAMERAS = 32
@@ -111,6 +107,6 @@ def _to_camera(value: object) -> CameraProfile:
         name=text(name, "a camera"),
         role=text(role, "a role", 64),
         frame_id="",
-        width=integer(width, "a width", 1, MOST_SIDE_PX),
-        height=integer(height, "a height", 1, MOST_SIDE_PX),
+        width=integer(width, "a width", 1, MAX_SIDE_PX),
+        height=integer(height, "a height", 1, MAX_SIDE_PX),
     )

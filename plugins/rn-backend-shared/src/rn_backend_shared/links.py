@@ -1,6 +1,4 @@
-"""A robot's connection to the servers of its model: starts a missing one, and switches to another
-one when one dies.
-"""
+"""A robot's connection to the server of its model on this machine, which is started if missing."""
 
 from __future__ import annotations
 
@@ -13,11 +11,10 @@ import threading
 import time
 from pathlib import Path
 
-from rn_backend_shared import wire
-from rn_backend_shared.channel import FrameChannel, peer_user
-from rn_backend_shared.frames import VersionError
+from rn_backend_shared.connection import PolicyConnection
+from rn_backend_shared.messages import from_observation
 from rn_backend_shared.options import SharedOptions
-from rn_backend_shared.session import FAILED, READY, ModelSession, Welcome, check_ready, greet
+from rn_backend_shared.session import FAILED, READY, ModelSession, Welcome, check_ready, receive
 from roboneuron import (
     ActionChunk,
     ConfigurationError,
@@ -67,61 +64,55 @@ def private_directory(chosen: Path | None) -> Path:
 
 
 class Links:
-    """Client of one of the servers; used from one thread, except `close`.
+    """Client of the server; used from one thread, except `close`.
 
     Args:
         options: the model.
     """
 
     def __init__(self, options: SharedOptions) -> None:
-        folder, name = directory_of(options), options.identity()
         self._options = options
-        self._paths = [folder / f"{name}-{index}.sock" for index in range(options.replicas)]
-        first = os.getpid() % options.replicas  # distributes robots over the replicas
-        self._paths = self._paths[first:] + self._paths[:first]
+        self._path = directory_of(options) / f"{options.identity()}.sock"
         self._session: ModelSession | None = None
-        self._started_s: dict[Path, float] = {}
+        self._started_s = -_AGAIN_S
         self._reviving: threading.Thread | None = None
         self._is_closed = False
 
     def open(self) -> Welcome:
-        """Start the missing servers, and wait for the first one that is ready; returns its
-        description of the model.
+        """Start the server if it is missing, and wait until it is ready; returns its description of
+        the model.
 
         Raises:
             RoboNeuronError: the server could not load its model.
-            NotReadyError: none was ready in time.
+            NotReadyError: it was not ready in time.
         """
         deadline_s = time.monotonic() + self._options.start_timeout_s
         while True:
-            for path in self._paths:
-                told = self._greet(path)
-                if told is None:
-                    self._start(path)
-                elif told.state == FAILED:
-                    check_ready(told)
-                elif told.state == READY:
-                    self._start_others()
-                    return told
+            told = self._greet()
+            if told is None:
+                self._start()
+            elif told.state == FAILED:
+                check_ready(told)
+            elif told.state == READY:
+                return told
             if time.monotonic() > deadline_s:
                 raise NotReadyError(
-                    "No server of the shared model was ready within "
+                    "The server of the shared model was not ready within "
                     f"{self._options.start_timeout_s:g} s.",
-                    hint=f"Its log is {self._paths[0].with_suffix('.log')}.",
+                    hint=f"Its log is {self._path.with_suffix('.log')}.",
                 )
             time.sleep(_POLL_S)
 
     def ask(self, observation: Observation, deadline_s: float) -> ActionChunk:
-        """Request the answer to an observation. A server that dies meanwhile is replaced by another
-        ready one.
+        """Request the answer to an observation.
 
         Raises:
-            NotReadyError: no answer by the deadline, or no server is ready; one is being started.
+            NotReadyError: no answer by the deadline, or the server is gone and being started.
             RoboNeuronError: the server's error for this observation.
         """
-        document = wire.from_observation(observation)
+        document = from_observation(observation)
         while True:
-            if self._session is None and not any(self._is_ready(path) for path in self._paths):
+            if self._session is None and not self._is_ready():
                 self._revive()
                 raise NotReadyError(
                     "The server of the shared model is gone; it is being started again."
@@ -130,9 +121,6 @@ class Links:
             try:
                 return self._session.ask(document, deadline_s)
             except TimeoutError as error:
-                if len(self._paths) > 1:  # it may hang: use another one next
-                    self._paths.append(self._paths.pop(0))
-                    self._drop()
                 raise NotReadyError(
                     "The shared model did not answer before the deadline."
                 ) from error
@@ -143,57 +131,46 @@ class Links:
                 if time.monotonic() > deadline_s:
                     raise NotReadyError("The server of the shared model was lost.") from error
 
-    def _is_ready(self, path: Path) -> bool:
-        told = self._greet(path)
+    def _is_ready(self) -> bool:
+        told = self._greet()
         return told is not None and told.state == READY
 
-    def _greet(self, path: Path) -> Welcome | None:
-        """Welcome message of the server at this path; a ready one becomes the current connection.
-        None if there is no server.
+    def _greet(self) -> Welcome | None:
+        """Welcome message of the server; a ready one becomes the current connection. None if there
+        is no server.
         """
+        deadline_s = time.monotonic() + _HELLO_S
         connected = socket.socket(socket.AF_UNIX)
-        try:
-            connected.settimeout(_HELLO_S)
-            connected.connect(str(path))
-        except OSError:
-            connected.close()
-            return None
-        channel = FrameChannel(connected)
+        connection = PolicyConnection(connected, "ws://localhost/")
         is_kept = False
         try:
-            if peer_user(connected) != os.getuid():
-                raise ConfigurationError(f"{path} belongs to another user.")
-            told = greet(channel, {}, _HELLO_S)
+            connected.settimeout(_HELLO_S)
+            connected.connect(str(self._path))
+            connection.open(deadline_s)
+            told = Welcome.of(receive(connection, deadline_s))
             is_kept = told.state == READY and not self._is_closed
-        except VersionError as error:
-            raise ConfigurationError(f"The server at {path} cannot be used: {error}.") from error
         except (OSError, ForeignDataError):
             return None
         finally:
             if not is_kept:
-                channel.close()
+                connection.close()
         if is_kept:
             self._drop()
-            self._session = ModelSession(channel, told)
+            self._session = ModelSession(connection, told)
         return told
 
-    def _start_others(self) -> None:
-        for path in self._paths:
-            if not path.exists():
-                self._start(path)
-
-    def _start(self, path: Path) -> None:
-        """Start a server in the background, unless it was just started. If one is already running,
-        the new one ends at once.
+    def _start(self) -> None:
+        """Start the server in the background, unless it was just started. If one is already
+        running, the new one ends at once.
         """
         now_s = time.monotonic()
-        if now_s - self._started_s.get(path, -_AGAIN_S) < _AGAIN_S:
+        if now_s - self._started_s < _AGAIN_S:
             return
-        self._started_s[path] = now_s
+        self._started_s = now_s
         python = str(self._options.python or sys.executable)
         try:
             subprocess.run(
-                [python, "-P", "-m", "rn_backend_shared.server_process", str(path)],
+                [python, "-P", "-m", "rn_backend_shared.server_process", str(self._path)],
                 input=self._options.model_dump_json() + "\n",
                 env={**os.environ, **self._options.environment},
                 check=True,
@@ -212,7 +189,7 @@ class Links:
             ) from error
 
     def _revive(self) -> None:
-        """Start missing servers on another thread, so that a robot never waits for a process."""
+        """Start a missing server on another thread, so that a robot never waits for a process."""
         if self._reviving is not None and self._reviving.is_alive():
             return
 
@@ -221,11 +198,9 @@ class Links:
             end_s = time.monotonic() + 2 * _AGAIN_S
             try:
                 while not self._is_closed and time.monotonic() < end_s:
-                    gone = [path for path in self._paths if not _is_served(path)]
-                    for path in gone:
-                        self._start(path)
-                    if not gone:
+                    if _is_served(self._path):
                         return
+                    self._start()
                     time.sleep(_POLL_S)
             except ConfigurationError as error:
                 log.error("%s", error)

@@ -1,7 +1,7 @@
 """Prometheus metrics of a policy server, and their endpoint.
 
-Labels are names of models from the server's own file, numbers of replicas and words of this module:
-no data sent by a robot becomes a label.
+Labels are names of models from the server's own file and words of this module: no data sent by a
+robot becomes a label.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from prometheus_client.core import (
     Metric,
 )
 
-from rn_backend_shared.frames import Document
+from rn_backend_shared.messages import Document
 from rn_backend_shared.session import READY
 from rn_backend_shared.statistics import BOUNDS_S
 from roboneuron import ConfigurationError
 
 _PREFIX = "roboneuron_policy"
-_MODEL = ["model", "replica"]
+_MODEL = ["model"]
 _COUNTS = {
     "batches": "Forward passes of the model.",
     "observations": "Observations processed by the model.",
@@ -53,11 +53,7 @@ class PolicyMetrics:
     def collect(self) -> Iterator[Metric]:
         """All metrics; called on the endpoint's thread."""
         told = self._status()
-        rows = [
-            ([name, str(number)], one)
-            for name, model in told["models"].items()
-            for number, one in enumerate(model.get("replicas", [model]))
-        ]
+        rows = [([name], one) for name, one in told["models"].items()]
         yield GaugeMetricFamily(f"{_PREFIX}_robots", "Robots connected.", told["robots"])
         yield CounterMetricFamily(
             f"{_PREFIX}_refused_connections",
@@ -88,12 +84,12 @@ class PolicyMetrics:
         lost = CounterMetricFamily(
             f"{_PREFIX}_lost",
             "Observations lost because the model was not available.",
-            labels=["model"],
+            labels=_MODEL,
         )
         served = HistogramMetricFamily(
             f"{_PREFIX}_served_seconds",
             "Time from a complete request to its answer.",
-            labels=["model"],
+            labels=_MODEL,
         )
         for name, model in told["models"].items():
             lost.add_metric([name], model["lost"])

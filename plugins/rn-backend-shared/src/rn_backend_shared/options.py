@@ -9,16 +9,15 @@ from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
-from rn_backend_shared.frames import VERSION
-from rn_backend_shared.images import MOST_SIDE_PX
-from roboneuron import ConfigurationOnly
+from roboneuron import MAX_SIDE_PX, ConfigurationOnly
 
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9-]*$", max_length=64)]
 Role = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=64)]
-_Pixel = Annotated[int, Field(ge=0, le=MOST_SIDE_PX)]
-_Side = Annotated[int, Field(ge=1, le=MOST_SIDE_PX)]
+_Pixel = Annotated[int, Field(ge=0, le=MAX_SIDE_PX)]
+_Side = Annotated[int, Field(ge=1, le=MAX_SIDE_PX)]
 Rectangle = Annotated[tuple[_Pixel, _Pixel, _Side, _Side], Field(strict=False)]
-GpuName = Annotated[str, Field(pattern=r"^[A-Za-z0-9,:_/-]+$", max_length=256)]
+_WIRE = "websocket 1"
+"""Part of the name of a local server, so that no release finds the server of another one."""
 Table = Annotated[dict[str, object], ConfigurationOnly()]
 
 
@@ -132,10 +131,6 @@ class SharedOptions(ModelOptions):
     """
     parity_rad: Annotated[float, ConfigurationOnly(), Field(ge=0)] = 0.01
     """Likewise [rad, rad/s]."""
-    replicas: Annotated[int, Field(ge=1, le=8)] = 1
-    """Number of servers, each with a copy of the model; when one dies, its robots continue with
-    another within the same chunk.
-    """
     timeout_s: Annotated[float, Field(gt=0, le=60, allow_inf_nan=False)] = 1.5
     """Deadline of each observation; later answers are useless."""
     start_timeout_s: Annotated[float, Field(gt=0, le=3600, allow_inf_nan=False)] = 900.0
@@ -157,9 +152,9 @@ class SharedOptions(ModelOptions):
 
     def identity(self) -> str:
         """16 hexadecimal digits, equal for robots that share a model."""
-        of_the_server = {*ModelOptions.model_fields, "backend", "replicas", "idle_s"}
+        of_the_server = {*ModelOptions.model_fields, "backend", "idle_s"}
         own = self.model_dump(mode="json", include=of_the_server)
-        return hashlib.sha256(json.dumps([VERSION, own], sort_keys=True).encode()).hexdigest()[:16]
+        return hashlib.sha256(json.dumps([_WIRE, own], sort_keys=True).encode()).hexdigest()[:16]
 
 
 class ServedModelOptions(ModelOptions):
@@ -167,29 +162,6 @@ class ServedModelOptions(ModelOptions):
 
     backend: Name
     """The backend that holds the model, for instance `oft`."""
-    replicas: Annotated[int, Field(ge=1, le=16)] = 1
-    """Number of processes that hold it. A robot stays with one of them, initially the one with the
-    fewest robots, and continues with another when that dies.
-    """
-    gpus: Annotated[tuple[GpuName, ...], Field(strict=False, max_length=16)] = ()
-    """`CUDA_VISIBLE_DEVICES` of each replica, in order: `["0", "1"]`. If unset: all replicas see
-    all GPUs.
-    """
-
-    @model_validator(mode="after")
-    def _check_gpus(self) -> Self:
-        if self.gpus and len(self.gpus) != self.replicas:
-            raise ValueError(
-                f"gpus names {len(self.gpus)} for {self.replicas} replicas; name one for each"
-            )
-        return self
-
-    def of_replica(self, number: int) -> ServedModelOptions:
-        """The options of replica `number`."""
-        if not self.gpus:
-            return self
-        environment = {**self.environment, "CUDA_VISIBLE_DEVICES": self.gpus[number]}
-        return self.model_copy(update={"environment": environment})
 
     def shared(self) -> SharedOptions:
         """The options of the model's process."""
@@ -227,9 +199,7 @@ class ListenOptions(BaseModel):
     metrics_host: str = "127.0.0.1"
     """Address of the metrics. Anyone who can reach it can read them, without a key."""
     robots: Annotated[int, Field(ge=1, le=100)] = 64
-    """Largest number of connected robots. Beyond it, the newest robot of the client with the most
-    is disconnected in favour of a client with fewer.
-    """
+    """Largest number of connected robots."""
     directory: Path | None = None
     """Folder of sockets and logs; by default in the user's run-time directory."""
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from roboneuron import ActionSpace, BackendSpec, CommandSpec, hookimpl
+from roboneuron import PICK_AND_PLACE, ActionSpace, BackendSpec, CommandSpec, hookimpl
 
 BACKEND = BackendSpec(
     name="shared",
@@ -20,6 +20,7 @@ BACKEND = BackendSpec(
     conditions_on_rows=True,
     case="rn_backend_shared.case:shared_case",
     space="rn_backend_shared.space:shared_space",
+    verbs=PICK_AND_PLACE,
 )
 """Descriptor of the backend. The model's own requirements are checked when its server answers; a
 chunk that continues no rows is marked as such.

@@ -6,22 +6,18 @@ from __future__ import annotations
 
 import logging
 import os
-import socket
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Mapping
 from pathlib import Path
-from types import MappingProxyType
 
-from rn_backend_shared import wire
-from rn_backend_shared.channel import FrameChannel
-from rn_backend_shared.fields import field
-from rn_backend_shared.frames import Document, FrameKind, Header
+from rn_backend_shared.fields import field, text
+from rn_backend_shared.messages import RESERVED, Document, from_answer, raise_told
 from rn_backend_shared.options import ServedModelOptions
 from rn_backend_shared.server_process import STAY
-from rn_backend_shared.session import FAILED, LOADING, READY, Welcome, greet
+from rn_backend_shared.session import FAILED, LOADING, PROTOCOL, READY
+from rn_backend_shared.status_page import page
 from roboneuron import (
     ConfigurationError,
     ForeignDataError,
@@ -41,7 +37,6 @@ _WELL_S = 60.0
 """Time without a fault after which the pauses are reset."""
 _END_S = 20.0
 _MOST_LOG_BYTES = 10_000_000
-_NOBODY: Mapping[str, object] = MappingProxyType({})
 _MOST_PATH_BYTES = 107
 """Size of a path in Linux's sockaddr_un, without the final zero."""
 
@@ -96,30 +91,9 @@ class ModelProcess:
             self._thread.join(2 * _END_S)
 
     def welcome(self) -> Document:
-        """Welcome message for robots while the model is not ready."""
-        if self._failure is not None:
-            return {"state": FAILED, "pid": 0, **self._failure}
-        return {"state": LOADING, "pid": 0}
-
-    def connect(self, hello: Document) -> tuple[FrameChannel, Welcome]:
-        """Connect to its process.
-
-        Args:
-            hello: introduction of a robot.
-
-        Raises:
-            NotReadyError: the process is not ready.
-        """
-        try:
-            channel, welcome = _connect(self.path, hello)
-        except (OSError, ForeignDataError) as error:
-            raise NotReadyError(
-                f"The model {self.name!r} has died, or is starting; it is restarted automatically."
-            ) from error
-        if welcome.state != READY:
-            channel.close()
-            raise NotReadyError(f"The model {self.name!r} is being loaded.")
-        return channel, welcome
+        """First message to robots while the model is not ready."""
+        told: Document = {"protocol": PROTOCOL, "state": LOADING, "pid": 0}
+        return told if self._failure is None else {**told, "state": FAILED, **self._failure}
 
     def status(self) -> Document:
         """Statistics, including those of its process if it answers."""
@@ -133,18 +107,9 @@ class ModelProcess:
         if self._failure is not None:
             own["failure"] = self._failure["message"]
         try:
-            channel, _ = _connect(self.path)
+            return {**own, **page(self.path, _GREET_S), "state": self._state}
         except (OSError, ForeignDataError):
             return own
-        try:
-            channel.send(Header(FrameKind.STATUS), {}, _GREET_S)
-            told = channel.receive(time.monotonic() + _GREET_S).document()
-        except (OSError, ForeignDataError):
-            return own
-        finally:
-            channel.close()
-        # this request's own connection is not a robot's
-        return {**own, **told, "state": self._state, "clients": max(int(told["clients"]) - 1, 0)}
 
     def _keep(self) -> None:
         pause_s = _FIRST_PAUSE_S
@@ -156,7 +121,7 @@ class ModelProcess:
             except OSError as error:
                 log.error("The model %s cannot be started: %s", self.name, error)
                 refusal = NotReadyError(f"The model {self.name!r} cannot be started: {error}.")
-                self._failure = wire.from_answer(refusal)
+                self._failure = from_answer(refusal)[RESERVED]
             else:
                 self._watch(self._process)
             if self._end.is_set():
@@ -224,73 +189,29 @@ class ModelProcess:
             log.warning("The model %s has ended with %s.", self.name, process.returncode)
 
     def _look(self, process: subprocess.Popen[str]) -> bool:
-        """True if the process sends a welcome message."""
+        """True if the process answers."""
         try:
-            channel, welcome = _connect(self.path)
-            channel.close()
-            failure = _failure(welcome)
+            told = page(self.path, _GREET_S)
+            state = text(field(told, "state"), "state")
+            failure = _failure(told)
         except (OSError, ForeignDataError):
             return False
-        if welcome.pid != process.pid:  # an old process; the new one ends at once
+        if told.get("pid") != process.pid:  # an old process; the new one ends at once
             return False
-        if welcome.state != self._state:
-            log.info("The model %s is %s.", self.name, welcome.state)
-        self._state = welcome.state
+        if state != self._state:
+            log.info("The model %s is %s.", self.name, state)
+        self._state = state
         self._failure = failure
         return True
 
 
-def _failure(welcome: Welcome) -> Document | None:
-    if welcome.failure is None:
-        return None
+def _failure(status: Document) -> Document | None:
+    """The error in a status, checked; raises ForeignDataError."""
     try:
-        wire.to_answer(welcome.failure)
+        raise_told(status)
     except ForeignDataError:
         raise
     except RoboNeuronError as error:
-        return wire.from_answer(error)
-    raise ForeignDataError("a failure without an error")
-
-
-def _connect(path: Path, hello: Mapping[str, object] = _NOBODY) -> tuple[FrameChannel, Welcome]:
-    """Greet the server at a local socket. Raises OSError or ForeignDataError."""
-    connected = socket.socket(socket.AF_UNIX)
-    try:
-        connected.settimeout(_GREET_S)
-        connected.connect(str(path))
-        channel = FrameChannel(connected)
-    except OSError:
-        connected.close()
-        raise
-    try:
-        return channel, greet(channel, dict(hello), _GREET_S)
-    except BaseException:
-        channel.close()
-        raise
-
-
-def ask_status(path: Path) -> Document:
-    """Status of the server at a local socket.
-
-    Raises:
-        NotReadyError: there is no server.
-    """
-    with socket.socket(socket.AF_UNIX) as connected:
-        connected.settimeout(_END_S)
-        try:
-            connected.connect(str(path))
-            channel = FrameChannel(connected)
-        except OSError as error:
-            raise NotReadyError(
-                "No policy server of this file runs on this machine as this user.",
-                hint="Start it with `roboneuron serve-policy`.",
-            ) from error
-        try:
-            channel.send(Header(FrameKind.STATUS), {}, _GREET_S)
-            document = channel.receive(time.monotonic() + _END_S).document()
-            field(document, "models")
-        except (OSError, ForeignDataError) as error:
-            raise NotReadyError(f"The policy server does not answer: {error}.") from error
-        finally:
-            channel.close()
-    return document
+        failure: Document = from_answer(error)[RESERVED]
+        return failure
+    return None

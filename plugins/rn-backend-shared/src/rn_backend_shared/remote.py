@@ -8,14 +8,15 @@ import ssl
 import threading
 import time
 from collections.abc import Sequence
+from http import HTTPStatus
 
-from rn_backend_shared.channel import FrameChannel
 from rn_backend_shared.coding import Coder
-from rn_backend_shared.frames import Document, VersionError
-from rn_backend_shared.introduction import ROBOT, from_profile
+from rn_backend_shared.connection import HandshakeRefused, PolicyConnection
+from rn_backend_shared.introduction import from_profile
+from rn_backend_shared.messages import Document
 from rn_backend_shared.options import SharedOptions
-from rn_backend_shared.security import ServerAddress, link_stamps, place_of, tune
-from rn_backend_shared.session import ModelSession, Welcome, check_ready, greet
+from rn_backend_shared.security import ServerAddress, authorization, link_stamps, place_of, tune
+from rn_backend_shared.session import ModelSession, Welcome, check_ready, receive
 from roboneuron import (
     ActionChunk,
     ConfigurationError,
@@ -106,7 +107,7 @@ class RemoteLink:
         if session is None:
             raise NotReadyError(f"There is no connection to the server {self._address}.")
         try:
-            return session.introduce({ROBOT: from_profile(profile)}, _DESCRIBE_S)
+            return session.introduce(from_profile(profile), _DESCRIBE_S)
         except (OSError, ForeignDataError) as error:
             self._lose(str(error))
             raise NotReadyError(
@@ -218,18 +219,16 @@ class RemoteLink:
         place = place_of(self._options)
         connected = socket.create_connection((place.host, place.port), _CONNECT_S)
         try:
-            channel = FrameChannel(self._secured(connected, place))
+            connected = self._secured(connected, place)
+            headers = {"Authorization": authorization(place.token)} if place.token else {}
+            url = f"ws://{self._address}/{self._options.model or ''}"
+            connection = PolicyConnection(connected, url, headers)
+            begun_s = time.monotonic()
+            welcome = self._greet(connection, begun_s + _GREET_S)
+            check_ready(welcome)
+            return ModelSession(connection, welcome, (time.monotonic() - begun_s) / 2)
         except BaseException:
             connected.close()
-            raise
-        try:
-            begun_s = time.monotonic()
-            welcome = self._greet(channel, place)
-            base_s = time.monotonic() - begun_s
-            check_ready(welcome)
-            return ModelSession(channel, welcome, base_s)
-        except BaseException:
-            channel.close()
             raise
 
     def _secured(self, connected: socket.socket, place: ServerAddress) -> socket.socket:
@@ -246,19 +245,31 @@ class RemoteLink:
                 hint="Is it the machine that was paired? Pair it again with `roboneuron link`.",
             ) from error
 
-    def _greet(self, channel: FrameChannel, place: ServerAddress) -> Welcome:
-        hello: Document = {"model": self._options.model, "token": place.token}
+    def _greet(self, connection: PolicyConnection, deadline_s: float) -> Welcome:
         try:
-            return greet(channel, hello, _GREET_S)
+            connection.open(deadline_s)
+            return Welcome.of(receive(connection, deadline_s))
         except TimeoutError:
             raise
-        except VersionError as error:
-            raise ConfigurationError(f"The server {self._address}: {error}.") from error
+        except HandshakeRefused as error:
+            raise self._refusal(error) from error
+        except ConfigurationError:
+            raise
         except (OSError, ForeignDataError) as error:
             raise ConnectionError(
-                "it has closed the connection without an answer. Are the keys or the token those "
-                f"of the server, and does it have the same release of rn-backend-shared? ({error})"
+                "it has closed the connection without an answer. Are the keys those of the server, "
+                f"and is it one of `roboneuron serve-policy`? ({error})"
             ) from error
+
+    def _refusal(self, error: HandshakeRefused) -> RoboNeuronError:
+        if error.status == HTTPStatus.SERVICE_UNAVAILABLE:
+            return NotReadyError(f"The server {self._address} refuses: {error.text}")
+        if error.status == HTTPStatus.UNAUTHORIZED:
+            return ConfigurationError(
+                f"The server {self._address} refuses the token.",
+                hint="token_file must hold the token of the server's [listen].",
+            )
+        return ConfigurationError(f"The server {self._address} refuses: {error.text or error}")
 
     def _drop(self) -> None:
         with self._lock:

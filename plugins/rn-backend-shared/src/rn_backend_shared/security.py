@@ -9,6 +9,7 @@ import os
 import secrets
 import socket
 import ssl
+from asyncio.trsock import TransportSocket
 from collections.abc import Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
@@ -16,15 +17,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from rn_backend_shared.options import ListenOptions, SharedOptions
-from roboneuron import ConfigurationError, MissingDependencyError
-from roboneuron.command import availability
+from roboneuron import ConfigurationError, MissingDependencyError, install_command
 
 if TYPE_CHECKING:
     from rn_link.machine import Machine
 
 LEAST_TOKEN = 16
 MOST_TOKEN = 1024
-_IPV6_PREFIX = 64
 _LINK_FILES = ("link.json", "own.pem", "own.key")
 _PAIR = "Pair the machines with `roboneuron link`, the robot's machine being the hub."
 
@@ -168,7 +167,7 @@ def _link() -> tuple[Path, Machine]:
     except ModuleNotFoundError as error:
         raise MissingDependencyError(
             "The keys of `roboneuron link` need rn-link, which is not installed.",
-            hint=f"Run: {availability.install_command('rn-link')}. Or use a token (token_file).",
+            hint=f"Run: {install_command('rn-link')}. Or use a token (token_file).",
         ) from error
     folder = link_folder()
     machine = read_machine(folder)
@@ -231,19 +230,25 @@ class Guard:
             self._context = None
         return True
 
-    def wrap(self, connected: socket.socket) -> socket.socket:
-        """Wrap a connection for TLS if needed; the handshake is still to be done.
+    @property
+    def context(self) -> ssl.SSLContext | None:
+        """TLS of new connections; None for connections in clear.
 
         Raises:
             ConnectionError: this machine is no longer paired with any.
         """
-        if self._context is not None:
-            return self._context.wrap_socket(
-                connected, server_side=True, do_handshake_on_connect=False
-            )
-        if self._options.keys == "link":
+        if self._context is None and self._options.keys == "link":
             raise ConnectionError("this machine is not paired with any")
-        return connected
+        return self._context
+
+    def is_admitted(self, shown: Sequence[str]) -> bool:
+        """True if these headers `Authorization` hold the token, or none is needed."""
+        return not self.token or is_same_token(" ".join(shown), authorization(self.token))
+
+
+def authorization(token: str) -> str:
+    """The header `Authorization` with a token, as openpi's clients send it."""
+    return f"Api-Key {token}"
 
 
 def _member_context() -> ssl.SSLContext:
@@ -262,36 +267,15 @@ def _member_context() -> ssl.SSLContext:
         raise ConfigurationError(f"The keys of the link cannot be used: {error}.") from error
 
 
-def client_of(address: str, connected: socket.socket | None = None) -> str:
-    """Identity of the peer for fair shares: its certificate if it has sent one, otherwise its
-    address. Of an IPv6 address only the first half counts, because the client chooses the second.
-
-    Args:
-        address: address of the peer.
-        connected: socket after the handshake, possibly TLS.
-    """
-    if isinstance(connected, ssl.SSLSocket) and (shown := connected.getpeercert(binary_form=True)):
-        return f"key {hashlib.sha256(shown).hexdigest()[:32]}"
-    try:
-        found = ipaddress.ip_address(address.partition("%")[0])
-    except ValueError:
-        return f"address {address}"
-    if isinstance(found, ipaddress.IPv6Address):
-        if found.ipv4_mapped is None:
-            return f"address {ipaddress.ip_network((int(found), _IPV6_PREFIX), strict=False)}"
-        found = found.ipv4_mapped
-    return f"address {found}"
-
-
-def valid_until(connected: socket.socket) -> datetime | None:
+def valid_until(tls: ssl.SSLObject | None) -> datetime | None:
     """Expiry of the peer's certificate; None without one."""
-    shown = connected.getpeercert() if isinstance(connected, ssl.SSLSocket) else None
+    shown = None if tls is None else tls.getpeercert()
     if not shown:
         return None
     return datetime.fromtimestamp(ssl.cert_time_to_seconds(str(shown["notAfter"])), UTC)
 
 
-def tune(connected: socket.socket, silent_s: float) -> None:
+def tune(connected: socket.socket | TransportSocket, silent_s: float) -> None:
     """Send without delay, and detect within `silent_s` that the peer has disappeared."""
     connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     connected.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)

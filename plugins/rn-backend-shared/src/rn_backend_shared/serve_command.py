@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 from roboneuron import ConfigurationError
 
 if TYPE_CHECKING:
-    from rn_backend_shared.frames import Document
+    from rn_backend_shared.messages import Document
     from rn_backend_shared.options import PolicyServerOptions
 
 _COLUMNS = (
@@ -66,15 +66,6 @@ class ServePolicyCommand:
             "--host", metavar="ADDRESS", help="address to listen on, instead of FILE's"
         )
         parser.add_argument("--port", type=int, metavar="N", help="likewise")
-        parser.add_argument(
-            "--replicas",
-            type=int,
-            metavar="N",
-            help="processes that hold the model, instead of FILE's",
-        )
-        parser.add_argument(
-            "--model", metavar="NAME", help="model of FILE that --replicas refers to; all if unset"
-        )
         parser.add_argument("--json", action="store_true", help="status as JSON")
 
     def run(self, arguments: Namespace) -> int:
@@ -88,7 +79,7 @@ class ServePolicyCommand:
         folder = private_directory(options.listen.directory)
         name = name_of(arguments.config)
         if arguments.action == "status":
-            from rn_backend_shared.processes import ask_status
+            from rn_backend_shared.status_page import ask_status
 
             told = ask_status(folder / f"{name}.sock")
             print(json.dumps(told, indent=2) if arguments.json else table_of(told))
@@ -142,30 +133,10 @@ def read_options(arguments: Namespace) -> PolicyServerOptions:
     if isinstance(listen, dict):
         chosen = {key: value for key, value in given.items() if value is not None}
         tables["listen"] = {**listen, **chosen}
-    _set_replicas(tables.get("models"), arguments.model, arguments.replicas, path)
     described = replace(SERVE_COMMAND, config="rn_backend_shared.options:PolicyServerOptions")
     options = loading.load_options(described, tables, section=path.name)
     assert isinstance(options, PolicyServerOptions)
     return options
-
-
-def _set_replicas(models: object, name: str | None, count: int | None, path: Path) -> None:
-    """Write the command line's number of replicas into the tables of models.
-
-    Raises:
-        ConfigurationError: there is no model of that name, or a name without a number.
-    """
-    if name is not None and count is None:
-        raise ConfigurationError("--model goes with --replicas N.")
-    if count is None or not isinstance(models, dict):
-        return
-    if name is not None and name not in models:
-        raise ConfigurationError(
-            f"{path} has no model {name!r}.", hint=f"It has: {', '.join(models)}."
-        )
-    for own, table in models.items():
-        if name in (None, own) and isinstance(table, dict):
-            table["replicas"] = count
 
 
 def name_of(path: Path) -> str:
@@ -178,11 +149,8 @@ def table_of(status: Document) -> str:
     """A status as a table for people."""
     rows = [[title for title, _ in _COLUMNS]]
     for name, model in status["models"].items():
-        replicas = model.get("replicas", ())
-        named = {name: model} | {f"{name}.{number}": one for number, one in enumerate(replicas)}
-        for shown, numbers in named.items():
-            known = {"name": shown, **numbers}
-            rows.append([_cell(known.get(key)) for _, key in _COLUMNS])
+        known = {"name": name, **model}
+        rows.append([_cell(known.get(key)) for _, key in _COLUMNS])
     widths = [max(len(row[i]) for row in rows) for i in range(len(_COLUMNS))]
     lines = [
         f"{status['address']} (keys: {status['keys']}), {status['robots']} robots, "

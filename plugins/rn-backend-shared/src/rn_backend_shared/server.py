@@ -1,34 +1,40 @@
-"""The server of one model: one socket, a thread for each connected robot, one for the model."""
+"""The server of one model: websockets at a Unix socket, and one thread for the model."""
 
 from __future__ import annotations
 
+import asyncio
 import fcntl
+import json
 import logging
 import os
 import secrets
-import socket
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
+from http import HTTPStatus
 from pathlib import Path
 
-from rn_backend_shared import wire
+from websockets.asyncio.server import ServerConnection
+
+from rn_backend_shared import messages
 from rn_backend_shared.batching import Answer, Batcher, Waiting
-from rn_backend_shared.channel import FrameChannel, Received, peer_process, peer_user
-from rn_backend_shared.fields import field, text
-from rn_backend_shared.frames import Document, FrameKind, Header, VersionError
+from rn_backend_shared.conversations import Patience, PolicyRequest, Reply, converse
+from rn_backend_shared.fields import field, integer, number, table
 from rn_backend_shared.images import CROPPED, crop
-from rn_backend_shared.introduction import CLIENT, ROBOT, to_profile
-from rn_backend_shared.listening import connections, outlast
+from rn_backend_shared.introduction import to_profile
+from rn_backend_shared.listener import Listener
+from rn_backend_shared.messages import RESERVED, Document
 from rn_backend_shared.model import SharedModel
 from rn_backend_shared.options import SharedOptions
-from rn_backend_shared.session import FAILED, LOADING, READY
+from rn_backend_shared.session import FAILED, LOADING, PROTOCOL, READY
 from rn_backend_shared.statistics import Statistics
+from rn_backend_shared.status_page import STATUS
+from rn_backend_shared.wire import unpack
 from roboneuron import (
     ActionChunk,
-    ConfigurationError,
     ForeignDataError,
     InvalidInputError,
     NotReadyError,
@@ -39,18 +45,17 @@ from roboneuron import (
 from roboneuron.command import HangWatch
 
 log = logging.getLogger(__name__)
-_SEND_S = 0.5
-"""Time without reading after which a robot is disconnected, so that it blocks nobody else."""
+MOST_LEFT_S = 3600.0
+_PATIENCE = Patience(send_s=0.5)
 _FAILED_S = 3.0
 """Time for which a server that could not load reports this before it ends."""
 _LOOK_S = 0.1
-_BACKLOG = 1024
 _MOST_HELD = 8
 """Number of chunk contexts kept for a robot: of the running chunk, and of answers in transit."""
 _MOST_ROBOTS = 128
-"""Limit of connections; each has a thread and two handles."""
-_FIRST_S = 5.0
-"""Time limit for a new connection's first request."""
+_NUMBER_BITS = 62
+"""Bits of the random number of a connection's first request."""
+_START_S = 10.0
 
 
 class SharedModelServer:
@@ -68,7 +73,9 @@ class SharedModelServer:
         self._idle_s = idle_s
         self._model = SharedModel(options)
         self._batcher: Batcher | None = None
-        self._robots: dict[_RobotConnection, None] = {}
+        self._listener = Listener(
+            self._handle, most=_MOST_ROBOTS, pages={STATUS: self._status_page}
+        )
         self._end = threading.Event()
         self._state = LOADING
         self._image_sizes: Mapping[str, tuple[int, int]] = {}
@@ -85,22 +92,8 @@ class SharedModelServer:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
                 return 0
-            with socket.socket(socket.AF_UNIX) as listener:
-                # Renamed once it listens, so that a robot that finds the socket is not refused.
-                unready = self._path.with_suffix(".new")
-                unready.unlink(missing_ok=True)
-                listener.bind(str(unready))
-                listener.listen(_BACKLOG)
-                unready.replace(self._path)
-                threading.Thread(
-                    target=self._accept, args=(listener,), name="accept", daemon=True
-                ).start()
-                try:
-                    return self._serve(watch or HangWatch())
-                finally:
-                    self._path.unlink(missing_ok=True)
-                    for robot in list(self._robots):
-                        robot.close()
+            with self._listening():
+                return self._serve(watch or HangWatch())
 
     def stop(self) -> None:
         """Request the end; callable from a signal handler."""
@@ -123,7 +116,7 @@ class SharedModelServer:
             most=self._model.most,
             waiting=options.waiting,
             linger_s=options.linger_s,
-            clients=lambda: sum(robot.has_asked for robot in list(self._robots)),
+            clients=lambda: len(self._listener.clients),
         )
         batcher.start()
         self._image_sizes = self._model.image_sizes
@@ -132,7 +125,7 @@ class SharedModelServer:
         self._used_s = time.monotonic()
         while not self._end.wait(_LOOK_S):
             now_s = time.monotonic()
-            if any(robot.has_asked for robot in list(self._robots)):
+            if self._listener.clients:
                 self._used_s = now_s
             elif self._idle_s is not None and now_s - self._used_s > self._idle_s:
                 log.info("No robot for %g s.", self._idle_s)
@@ -147,16 +140,45 @@ class SharedModelServer:
         self._end.wait(_FAILED_S)
         return 1
 
-    def hello(self, hello: Document) -> Document:
-        """Welcome message: sent first, repeated while the model loads, and after a robot's
-        introduction (see `from_profile`).
+    @contextmanager
+    def _listening(self) -> Iterator[None]:
+        """Accept connections, on a thread with the event loop."""
+        is_open, loop, until = threading.Event(), asyncio.new_event_loop(), asyncio.Event()
 
-        Raises:
-            ForeignDataError: the introduction is invalid.
+        async def listen() -> None:
+            # renamed once it listens, so that a robot that finds the socket is not refused
+            unready = self._path.with_suffix(".new")
+            async with await self._listener.open_local(str(unready)):
+                unready.replace(self._path)
+                is_open.set()
+                await until.wait()
+                self._path.unlink(missing_ok=True)
+
+        def run() -> None:
+            with asyncio.Runner(loop_factory=lambda: loop) as runner:
+                runner.run(listen())
+
+        thread = threading.Thread(target=run, name="connections", daemon=True)
+        thread.start()
+        if not is_open.wait(_START_S):
+            raise NotReadyError(f"The socket {self._path} cannot be made.")
+        try:
+            yield
+        finally:
+            loop.call_soon_threadsafe(until.set)
+            thread.join(_START_S)
+
+    async def _handle(self, connection: ServerConnection) -> None:
+        await converse(connection, _ModelConversation(self), _PATIENCE)
+
+    def metadata(self) -> Document:
+        """Description of the model: the first message to a robot, which repeats the connection
+        while the model loads.
         """
-        told: Document = {"state": self._state, "pid": os.getpid()}
+        told: Document = {"protocol": PROTOCOL, "state": self._state, "pid": os.getpid()}
         if self._failure is not None:
-            return told | wire.from_answer(self._failure)
+            failure: Document = messages.from_answer(self._failure)[RESERVED]
+            return told | failure
         if self._state == READY:
             spec = self._model.spec
             told["cameras"] = list(spec.cameras)
@@ -168,43 +190,51 @@ class SharedModelServer:
             told["continues"] = self._model.continues_rows
             told["crops"] = {role: list(one) for role, one in self._options.crop.items()}
             told["image_sizes"] = {role: list(size) for role, size in self._image_sizes.items()}
-            if ROBOT in hello:
-                told |= self._space_on(hello[ROBOT])
         return told
 
-    def _space_on(self, robot: object) -> Document:
-        """The control space of the model's chunks on a robot, or why it cannot move it."""
+    def space_on(self, robot: object) -> Document:
+        """The control space of the model's chunks on an introduced robot (see `from_profile`), or
+        why it cannot move it. Raises ForeignDataError.
+        """
+        if self._state != READY:
+            return {}
         try:
-            return {"space": wire.from_space(self._model.space_on(to_profile(robot)))}
+            return {"space": messages.from_space(self._model.space_on(to_profile(robot)))}
         except ForeignDataError:  # no introduction; a refusal is for a model that does not fit
             raise
         except RoboNeuronError as error:
-            return {"refusal": wire.from_answer(error)}
+            return {"refusal": messages.from_answer(error)[RESERVED]}
+
+    def _status_page(self) -> tuple[HTTPStatus, str]:
+        return HTTPStatus.OK, json.dumps(self.status())
 
     def status(self) -> Document:
         """Statistics of this server."""
-        asking = sum(robot.has_asked for robot in list(self._robots))
-        return {
+        own: Document = {
             "state": self._state,
             "pid": os.getpid(),
-            "clients": asking,
+            "clients": len(self._listener.clients),
             "waiting": 0 if self._batcher is None else self._batcher.waiting,
             **self._statistics.values(),
         }
+        if self._failure is not None:
+            own |= messages.from_answer(self._failure)[RESERVED]
+        return own
 
-    def cropped(self, observation: Observation, document: Document) -> Observation:
+    def cropped(self, observation: Observation, request: Document) -> Observation:
         """Crop the images that the robot has not cropped.
 
         Args:
             observation: the received observation.
-            document: its document.
+            request: the message.
 
         Raises:
             InvalidInputError: the crop exceeds an image.
         """
+        told = request.get(RESERVED, {}).get("frames", {})
         frames = dict(observation.frames)
         for role, rectangle in self._options.crop.items():
-            if role in frames and not document["frames"][role].get(CROPPED, False):
+            if role in frames and not told.get(role, {}).get(CROPPED, False):
                 frames[role] = crop(frames[role], rectangle)
         return replace(observation, frames=frames)
 
@@ -218,153 +248,103 @@ class SharedModelServer:
         """Count an answer."""
         self._statistics.note(answer)
 
-    def leave(self, robot: _RobotConnection) -> None:
-        """Remove a disconnected robot."""
-        self._robots.pop(robot, None)
 
-    def _accept(self, listener: socket.socket) -> None:
-        """Accept connections until the end; if there are too many, one without requests is
-        closed.
-        """
-        for connected, _ in connections(listener, self._end, self._drop_silent):
-            try:
-                user, process = peer_user(connected), peer_process(connected)
-                channel = FrameChannel(connected)
-            except OSError as error:  # there may be no second handle
-                connected.close()
-                log.error("A robot cannot connect: %s.", error.strerror or error)
-                outlast(error, self._end, self._drop_silent)
-                continue
-            if user != os.getuid() or (
-                len(self._robots) >= _MOST_ROBOTS and not self._drop_silent()
-            ):
-                channel.close()
-                continue
-            robot = _RobotConnection(channel, self, f"process {process}")
-            self._robots[robot] = None
-            try:
-                threading.Thread(target=robot.serve, name="robot", daemon=True).start()
-            except RuntimeError as error:  # the system starts no more threads
-                log.error("A robot cannot connect: %s.", error)
-                self.leave(robot)
-                robot.close()
-                self._drop_silent()
-
-    def _drop_silent(self) -> bool:
-        """Close the oldest connection without requests; returns True if there was one."""
-        silent = next((robot for robot in list(self._robots) if not robot.has_asked), None)
-        if silent is None:
-            return False
-        self._robots.pop(silent, None)
-        silent.close()
-        return True
-
-
-class _RobotConnection:
-    """One connection.
+class _ModelConversation:
+    """One robot's conversation; see `Conversation`.
 
     Args:
-        channel: channel of the connection.
         server: the model's server.
-        client: its owner, unless it is introduced as another's.
     """
 
-    def __init__(self, channel: FrameChannel, server: SharedModelServer, client: str) -> None:
-        self._channel = channel
+    def __init__(self, server: SharedModelServer) -> None:
         self._server = server
-        self._client = client
-        self._sending = threading.Lock()
-        self._session = secrets.randbits(62)
+        self._session = secrets.randbits(_NUMBER_BITS)
+        self._last = secrets.randbits(_NUMBER_BITS)
         self._held: OrderedDict[int, object] = OrderedDict()
-        self._last = 0
-        self.has_asked = False
 
-    def serve(self) -> None:
-        """Serve its requests until it disconnects; the first one has a time limit."""
-        try:
-            first = self._channel.receive(time.monotonic() + _FIRST_S)
-            self.has_asked = True
-            self._take(first)
-            while True:
-                self._take(self._channel.receive(None))
-        except OSError:
-            pass
-        except VersionError as error:
-            log.warning("A client was refused: %s", error)
-            refusal = ConfigurationError(f"The server of the shared model refuses: {error}.")
-            self._send(Header(FrameKind.ANSWER), wire.from_answer(refusal))
-        except ForeignDataError as error:
-            log.warning("A client sent what is no request: %s", error)
-        finally:
-            self._server.leave(self)
-            self.close()
+    def first(self) -> Reply:
+        return {RESERVED: {**self._server.metadata(), "number": self._last}}
 
-    def _take(self, received: Received) -> None:
-        header = received.header
-        if header.kind is FrameKind.HELLO:
-            hello = received.document()
-            self._client = text(hello.get(CLIENT, self._client), "a client", 128)
-            told = Header(FrameKind.WELCOME, clock_ns=header.clock_ns)
-            self._send(told, self._server.hello(hello))
-            return
-        if header.kind is FrameKind.STATUS:
-            self._send(Header(FrameKind.STATUS), self._server.status())
-            return
-        if header.kind is not FrameKind.REQUEST or header.number <= self._last:
-            raise ForeignDataError(f"frame {header.number} of kind {header.kind} was not expected")
-        self._last = header.number
-        answer_header = Header(FrameKind.ANSWER, header.number, header.clock_ns)
-
-        def tell(answer: Answer) -> None:
-            self._server.note(answer)
-            try:
-                held = self._hold(answer, header.number)
-                self._send(answer_header, wire.from_answer(answer, held))
-            except (TypeError, ValueError, OverflowError) as error:
-                refusal = PluginError(f"The answer of the shared model cannot be sent: {error}.")
-                self._send(answer_header, wire.from_answer(refusal))
-
-        try:
-            document = field(received.document(), "observation")
-            observation = wire.to_observation(document, self._recall)
-            observation = self._server.cropped(observation, document)
-            deadline_s = time.monotonic() + header.left_s
-            self._server.submit(
-                Waiting(
-                    observation=observation,
-                    deadline_s=deadline_s,
-                    tell=tell,
-                    client=self._client,
-                    connection=self,
-                )
+    async def read(self, data: str | bytes) -> PolicyRequest | Reply:
+        if isinstance(data, str):
+            raise InvalidInputError("A request is a binary frame of msgpack, this one is text.")
+        request = table(unpack(data), "a request")
+        if RESERVED not in request:
+            return PolicyRequest(observation=await self._observation(request), left_s=MOST_LEFT_S)
+        own = table(request[RESERVED], RESERVED)
+        found, clock_ns = (integer(field(own, name), name) for name in ("number", "clock_ns"))
+        if found != self._last + 1:
+            raise ForeignDataError(
+                f"request {found} was replayed, lost or from another connection: "
+                f"{self._last + 1} comes next"
             )
+        self._last = found
+        if "robot" in own:
+            told = {**self._server.metadata(), **self._server.space_on(own["robot"])}
+            return {RESERVED: {**told, "number": found, "clock_ns": clock_ns}}
+        try:
+            left_s = number(field(own, "left_s"), "left_s", 0.0, MOST_LEFT_S)
+            observation = await self._observation(request)
         except ForeignDataError as error:
-            tell(InvalidInputError(f"The observation cannot be read: {error}."))
+            refusal = InvalidInputError(f"The observation cannot be read: {error}.")
+            return self._told(refusal, found, clock_ns)
         except RoboNeuronError as error:
-            tell(error)
+            return self._told(error, found, clock_ns)
+        return PolicyRequest(
+            observation=observation, left_s=left_s, number=found, clock_ns=clock_ns
+        )
 
-    def _hold(self, answer: Answer, number: int) -> wire.HeldContext | None:
-        """Store the context of a chunk; called on the model's thread, so that it exists before the
-        robot can name it.
-        """
-        if not isinstance(answer, ActionChunk) or answer.context is None:
-            return None
-        self._held[number] = answer.context
+    async def _observation(self, request: Document) -> Observation:
+        if messages.has_coded_images(request):  # their decoding must not hold up other connections
+            observation = await asyncio.to_thread(messages.to_observation, request, self._recall)
+        else:
+            observation = messages.to_observation(request, self._recall)
+        return self._server.cropped(observation, request)
+
+    def submit(self, request: PolicyRequest, tell: Callable[[Answer], object]) -> None:
+        def hold_and_tell(answer: Answer) -> None:
+            # on the model's thread, so that a context exists before the robot can name it
+            if request.number is not None and isinstance(answer, ActionChunk):
+                self._hold(answer, request.number)
+            tell(answer)
+
+        deadline_s = time.monotonic() + request.left_s
+        self._server.submit(
+            Waiting(
+                observation=request.observation,
+                deadline_s=deadline_s,
+                tell=hold_and_tell,
+                connection=self,
+            )
+        )
+
+    def reply(self, answer: Answer, request: PolicyRequest) -> Reply:
+        if request.number is not None:
+            return self._told(answer, request.number, request.clock_ns)
+        self._server.note(answer)
+        if isinstance(answer, RoboNeuronError):
+            raise answer
+        return messages.from_answer(answer)
+
+    def _told(self, answer: Answer, found: int, clock_ns: int) -> Reply:
+        """An answer with the number of its request."""
+        self._server.note(answer)
+        held = messages.HeldContext(self._session, found) if found in self._held else None
+        try:
+            told = messages.from_answer(answer, held)
+        except (TypeError, ValueError, OverflowError) as error:
+            refusal = PluginError(f"The answer of the shared model cannot be sent: {error}.")
+            told = messages.from_answer(refusal)
+        return {**told, RESERVED: {**told[RESERVED], "number": found, "clock_ns": clock_ns}}
+
+    def _hold(self, chunk: ActionChunk, found: int) -> None:
+        """Store the context of a chunk."""
+        if chunk.context is None:
+            return
+        self._held[found] = chunk.context
         while len(self._held) > _MOST_HELD:
             self._held.popitem(last=False)
-        return wire.HeldContext(self._session, number)
 
-    def _recall(self, named: wire.HeldContext) -> object:
+    def _recall(self, named: messages.HeldContext) -> object:
         """A stored context; None for that of another connection."""
         return self._held.get(named.number) if named.session == self._session else None
-
-    def _send(self, header: Header, document: Document) -> None:
-        try:
-            with self._sending:
-                self._channel.send(header, document, _SEND_S)
-        except OSError:
-            self.close()  # this ends `serve`
-
-    def close(self) -> None:
-        """Disconnect."""
-        self._channel.close()

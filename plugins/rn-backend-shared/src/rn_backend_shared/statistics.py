@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from rn_backend_shared.batching import Answer
-from rn_backend_shared.frames import Document
+from rn_backend_shared.messages import Document
 from roboneuron import NotReadyError, Observation, RoboNeuronError
 
 _RECENT = 1000

@@ -12,13 +12,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rn_controller_urdf.chain import one_coordinate
-from rn_controller_urdf.hulls import (
-    MOST_TRIANGLES,
-    replace_meshes,
-    resolve_meshes,
-    surface_distance,
-)
+from rn_controller_urdf.hulls import MOST_TRIANGLES, surface_distance
+from rn_controller_urdf.shapes import LinkShapes
 from roboneuron import (
     ArmProfile,
     CollisionProfile,
@@ -26,12 +21,9 @@ from roboneuron import (
     JointSample,
     Proximity,
     RobotProfile,
-    UnsafeError,
 )
 
 if TYPE_CHECKING:
-    from types import ModuleType
-
     import pinocchio
 
 F64 = NDArray[np.float64]
@@ -54,7 +46,7 @@ class _Required(NamedTuple):
     surfaces: tuple[Any, Any] | None
 
 
-class CollisionModel:
+class CollisionModel(LinkShapes):
     """Finds links that are too close to each other or to an obstacle; used from one thread.
 
     One model contains all arms, so the distances between arms are checked like those between links.
@@ -76,32 +68,11 @@ class CollisionModel:
             ConfigurationError: a mesh is missing or cannot be read, a tool link is unknown, or no
                 pair could touch.
         """
-        import pinocchio  # heavy
-
-        root = ET.fromstring(profile.urdf)
-        resolve_meshes(root, profile)
-        self._pin: ModuleType = pinocchio
+        super().__init__(profile)
         self._collision = collision
-        urdf = one_coordinate(root)
-        self._model = pinocchio.buildModelFromXML(urdf)
-        self._data = self._model.createData()
-        try:
-            self._shapes = pinocchio.buildGeomFromUrdfString(
-                self._model, urdf, pinocchio.GeometryType.COLLISION
-            )
-        except (ValueError, RuntimeError) as error:  # a file that holds no mesh
-            raise ConfigurationError(
-                f"Robot {profile.name!r}: its collision shapes cannot be read: {error}"
-            ) from error
-        self._meshes = replace_meshes(self._shapes)
-        self._links = [
-            str(self._model.frames[s.parentFrame].name) for s in self._shapes.geometryObjects
-        ]
-        self._base = self._place_base(profile.base_link)
         self._add_obstacles()
-        self._set_configuration(profile)
         self._check_tools()
-        self._choose_pairs(root, profile.arms)
+        self._choose_pairs(ET.fromstring(profile.urdf), profile.arms)
         self._prepare()
         if profile.home_rad is not None:
             home = JointSample(names=profile.arm_joints, position=profile.home_rad)
@@ -136,13 +107,6 @@ class CollisionModel:
         """
         self._measure(self._full(joints))
         return tuple(sorted(self._nearest(only_close=False), key=lambda pair: pair.distance_m))
-
-    def _place_base(self, base_link: str) -> pinocchio.SE3:
-        """Pose of the base link in the model's own frame; obstacles are given in the base frame."""
-        pin = self._pin
-        frame = self._model.getFrameId(base_link)
-        pin.framesForwardKinematics(self._model, self._data, pin.neutral(self._model))
-        return self._data.oMf[frame].copy()
 
     def _add_obstacles(self) -> None:
         import coal  # type: ignore[import-untyped]  # heavy; comes with pinocchio
@@ -296,28 +260,6 @@ class CollisionModel:
         pair, poses = self._shapes.collisionPairs[index], self._contacts.oMg
         apart_m = surface_distance(surfaces[0], poses[pair.first], surfaces[1], poses[pair.second])
         return apart_m if apart_m > 0.0 else hull_m
-
-    def _set_configuration(self, profile: RobotProfile) -> None:
-        """Find the coordinate of each joint."""
-        moving = [name for name in profile.kinds.moving if self._model.existJointName(name)]
-        coordinates = [self._model.joints[self._model.getJointId(name)].idx_q for name in moving]
-        order = sorted(zip(coordinates, moving, strict=True))
-        self._coordinates = [int(coordinate) for coordinate, _ in order]
-        self._configuration = profile.kinds.configuration([name for _, name in order])
-        self._neutral: F64 = self._pin.neutral(self._model)  # of joints with several coordinates
-        self._is_whole = len(order) == self._model.nq
-
-    def _full(self, joints: JointSample) -> F64:
-        full = self._configuration(joints.names, np.asarray(joints.position, dtype=np.float64))
-        if not np.isfinite(full).all():
-            raise UnsafeError(
-                f"A joint is not finite: {dict(zip(joints.names, joints.position, strict=False))}."
-            )
-        if self._is_whole:
-            return full
-        whole = self._neutral.copy()
-        whole[self._coordinates] = full
-        return whole
 
 
 def _link(joint: ET.Element, role: str) -> str:

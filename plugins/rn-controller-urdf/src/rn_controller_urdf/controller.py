@@ -20,18 +20,22 @@ from rn_controller_urdf.refusals import (
     check_time,
     shortest_duration_s,
 )
+from rn_controller_urdf.shapes import LinkBoxes
 from roboneuron import (
     GRIPPER,
     Action,
+    ConfigurationError,
     ControlSpace,
     Hold,
     JointCommand,
     JointSample,
+    LinkExtents,
     Pose,
     Posture,
     Proximity,
     RobotProfile,
     StateError,
+    UnsafeError,
     robot_space,
 )
 
@@ -39,6 +43,10 @@ F64 = NDArray[np.float64]
 
 _EXECUTED = ("ee_pose", "joint_position", "joint_velocity")
 """Kinds of control spaces in addition to `ee_delta`."""
+
+
+def _none() -> LinkExtents:
+    return LinkExtents(names=(), lower_m=np.empty((0, 3)), upper_m=np.empty((0, 3)))
 
 
 def _joined(parts: list[JointCommand]) -> JointCommand:
@@ -66,6 +74,7 @@ class UrdfController:
         self._profile = profile
         self._arms: tuple[ArmKinematics, ...] = ()
         self._collision: CollisionModel | None = None
+        self._boxes: LinkBoxes | None = None
         self._channel_keys: dict[str, tuple[str, ...]] = {}
 
     def load(self) -> None:
@@ -96,15 +105,30 @@ class UrdfController:
         """TCP poses, smallest singular values and, if the profile requests it, bodies that are too
         close. Raises as `forward`.
         """
-        (pose, singular), *others = (arm.view(joints) for arm in self._loaded())
+        views = [arm.view(joints) for arm in self._loaded()]
+        (pose, singular), *others = views
+        poses = tuple(each for each, _ in views)
         return Posture(
             pose=pose,
             smallest_singular_value=singular,
             near=None if self._collision is None else self._collision.near(joints),
+            extents=lambda: self._extents(joints, poses),
             others=tuple(
-                Posture(pose=other, smallest_singular_value=value) for other, value in others
+                Posture(pose=other, smallest_singular_value=value, extents=_none)
+                for other, value in others
             ),
         )
+
+    def _extents(self, joints: JointSample, poses: tuple[Pose, ...]) -> LinkExtents:
+        """Boxes around the links, whose shapes are built when a limit asks for them first. Raises
+        UnsafeError.
+        """
+        if self._boxes is None:
+            try:
+                self._boxes = LinkBoxes(self._profile)
+            except ConfigurationError as error:
+                raise UnsafeError(error.message) from error
+        return self._boxes.extents(joints, poses)
 
     def distances(self, joints: JointSample) -> tuple[Proximity, ...]:
         """Distances of links to each other and to obstacles, the nearest first; () where the
@@ -244,7 +268,7 @@ class UrdfController:
 
     def close(self) -> None:
         """Release the arms."""
-        self._arms, self._collision = (), None
+        self._arms, self._collision, self._boxes = (), None, None
 
     def _loaded(self) -> tuple[ArmKinematics, ...]:
         if not self._arms:

@@ -21,6 +21,8 @@ MOST_VERTICES = 512
 MOST_TRIANGLES = 5000
 """Of a mesh whose surface is compared, which takes 0.1 to 0.4 ms for two such; 5 ms for 50,000."""
 
+_MOST_NEIGHBOURS = 255
+"""Of a vertex of coal's hulls, which count them in a byte."""
 _FLAT_M = 1e-4
 """Thickness of a mesh whose points lie in a plane, either way."""
 
@@ -56,7 +58,8 @@ def missing_meshes(profile: RobotProfile, missing: list[str]) -> ConfigurationEr
 
 def replace_meshes(shapes: pinocchio.GeometryModel) -> dict[int, Any]:
     """Replace every mesh of a geometry model by a hull that contains it; returns the meshes by the
-    index of their shape. A flat mesh, which has no hull, gets a thickness.
+    index of their shape, without those whose surface is not known. A flat mesh, which has no hull,
+    gets a thickness.
     """
     import coal  # type: ignore[import-untyped]  # heavy; comes with pinocchio
 
@@ -64,14 +67,15 @@ def replace_meshes(shapes: pinocchio.GeometryModel) -> dict[int, Any]:
     for index, shape in enumerate(shapes.geometryObjects):
         if not isinstance(shape.geometry, coal.BVHModelBase):
             continue
-        mesh = meshes[index] = shape.geometry
+        mesh = shape.geometry
+        if _is_whole(mesh):
+            meshes[index] = mesh
         corners = np.array([mesh.vertex(i) for i in range(mesh.num_vertices)])
         spread = np.linalg.svd(corners - corners.mean(axis=0), compute_uv=False)
         if spread[-1] <= _FLAT_M * math.sqrt(len(corners)):  # qhull does not survive a plane
             thick = _FLAT_M * np.concatenate([np.eye(3), -np.eye(3)])
             corners = (corners[:, np.newaxis] + thick).reshape(-1, 3)
-        hull = _hull_of(corners)
-        shape.geometry = _bounded(hull)
+        shape.geometry = _bounded(corners)
     return meshes
 
 
@@ -84,17 +88,33 @@ def surface_distance(first: Any, at: pinocchio.SE3, second: Any, there: pinocchi
     return float(coal.distance(first, poses[0], second, poses[1], request, result))
 
 
-def _bounded(hull: Any) -> Any:
-    """A hull of at most `MOST_VERTICES` vertices around `hull`: that of its farthest ones in evenly
-    spread directions, thickened by what it lacks.
+def _is_whole(mesh: Any) -> bool:
+    """Triangles use every vertex. In a file of several parts they do not: coal 3.0.3 numbers the
+    vertices of each part from 0, so that its surface is another one.
+    """
+    if mesh.num_tris > MOST_TRIANGLES:
+        return True  # its surface is not compared
+    used = {mesh.tri_indices(i)[corner] for i in range(mesh.num_tris) for corner in range(3)}
+    return len(used) == int(mesh.num_vertices)
+
+
+def _bounded(points: NDArray[np.float64]) -> Any:
+    """A hull of at most `MOST_VERTICES` vertices around `points`: that of the farthest ones in
+    evenly spread directions, thickened by what it lacks.
     """
     import coal  # heavy
 
-    points: NDArray[np.float64] = np.array(hull.points())
-    if len(points) <= MOST_VERTICES:
-        return hull
-    chosen = np.unique(np.argmax(points @ _directions(MOST_VERTICES).T, axis=0))
-    small = _hull_of(points[chosen])
+    hull = _hull_of(points)
+    if hull is not None:
+        points = np.array(hull.points())
+        if len(points) <= MOST_VERTICES:
+            return hull
+    small = None
+    for count in (MOST_VERTICES, _MOST_NEIGHBOURS // 2):
+        chosen = np.unique(np.argmax(points @ _directions(count).T, axis=0))
+        if (small := _hull_of(points[chosen])) is not None:
+            break
+    assert small is not None
     here, there, tip = coal.Transform3s(), coal.Transform3s(), coal.Sphere(1e-9)
     lacking_m = 0.0
     for point in np.delete(points, chosen, axis=0):
@@ -107,12 +127,18 @@ def _bounded(hull: Any) -> Any:
 
 
 def _hull_of(points: NDArray[np.float64]) -> Any:
+    """The hull; None if one of its vertices has more neighbours than coal counts, as on a disc."""
     import coal  # heavy
 
     kept = coal.StdVec_Vec3s()
     for point in points:
         kept.append(point)
-    return coal.Convex.convexHull(kept, False, "Qt")
+    try:
+        return coal.Convex.convexHull(kept, False, "Qt")
+    except RuntimeError:
+        if len(points) <= _MOST_NEIGHBOURS:
+            raise
+        return None
 
 
 def _directions(count: int) -> NDArray[np.float64]:

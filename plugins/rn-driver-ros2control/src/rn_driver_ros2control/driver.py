@@ -32,6 +32,7 @@ from roboneuron import (
     StateError,
     Topics,
     UnsafeError,
+    install_command,
 )
 
 F64 = NDArray[np.float64]
@@ -112,8 +113,7 @@ class Ros2ControlDriver:
                 raise
             raise MissingDependencyError(
                 "The ROS 2 types of ros2_control are not installed (package control_msgs).",
-                hint="pip install ./plugins/rn-driver-ros2control (in RoboNeuron's source folder) "
-                "compiles them.",
+                hint=f"Run: {install_command('rn-driver-ros2control')}. It compiles them.",
             ) from error
         return RosControllerLink(self._options, self._profile.arm_joints)
 
@@ -217,9 +217,9 @@ class Ros2ControlDriver:
                 names = tuple(name for name in names if name != gripper.joint)
             else:
                 finger = measured.get(gripper.joint)
-                self._fingers.move(
-                    link, wanted[gripper.joint], None if finger is None else finger.position
-                )
+                low, high = sorted((gripper.closed_position, gripper.open_position))
+                target = wanted[gripper.joint] = min(max(wanted[gripper.joint], low), high)
+                self._fingers.move(link, target, None if finger is None else finger.position)
         return replace(
             command,
             names=names,

@@ -62,6 +62,7 @@ def test_interfaces_are_found_in_the_ament_index():
     assert all((Path(sys.prefix) / "share/control_msgs" / name).is_file() for name in listed)
 
 
+@pytest.mark.exhaustive
 def test_another_package_is_built_with_the_same_command(tmp_path):
     folder = tmp_path / "probe_msgs" / "msg"
     folder.mkdir(parents=True)

@@ -243,14 +243,14 @@ def _pool(plan: EvalPlan, arguments: Namespace) -> Callable[[], Pool]:
 def _serve(arguments: Namespace) -> int:
     import asyncio
 
-    from roboneuron import MissingDependencyError
+    from roboneuron import MissingDependencyError, install_command
 
     try:
         from rn_eval.model_server import EvalModelServer, run_server
     except ModuleNotFoundError as error:
         raise MissingDependencyError(
             f"Serving needs {error.name}, which is not installed.",
-            hint="Run: pip install './plugins/rn-eval[serve]'",
+            hint=f"Run: {install_command('rn-eval[serve]')}.",
         ) from error
     from rn_eval.plan import EvalPlan
     from rn_eval.policy import load_backend

@@ -22,7 +22,6 @@ from rn_simulation.cubes import DEFAULT_COLOURS, RGBA_BY_COLOUR
 from roboneuron import (
     ArmState,
     Frame,
-    GripperProfile,
     JointSample,
     Observation,
     matrix_from_quaternion,
@@ -214,7 +213,10 @@ class CubesScene:
         if self._setup.needs_state:
             joints, profile = self._joints(stamp_ns), self._setup.profile
             arms = [
-                ArmState(ee_pose=pose, gripper_open=_opening(arm.gripper, joints))
+                ArmState(
+                    ee_pose=pose,
+                    gripper_open=arm.opening_in(joints),
+                )
                 for arm, pose in zip(profile.each_arm, self._poses(joints), strict=True)
             ]
             state = {
@@ -295,10 +297,3 @@ class CubesScene:
         return JointSample(
             names=self.cell.joints, position=position, velocity=velocity, stamp_ns=stamp_ns
         )
-
-
-def _opening(gripper: GripperProfile | None, joints: JointSample) -> float | None:
-    """Opening of a gripper; None without one."""
-    if gripper is None:
-        return None
-    return gripper.to_opening(float(joints.position[joints.names.index(gripper.joint)]))

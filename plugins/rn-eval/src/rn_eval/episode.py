@@ -1,8 +1,9 @@
 """One episode on its own clock: simulated time advances in ticks, and a prediction takes its
 configured latency.
 
-Chunks are executed by the rules of the inference module (`rn_standard.execution`); actions pass the
-controller and the limits of the control module. The wall clock is only used to measure predictions.
+Chunks are executed by the rules of the inference module (`roboneuron.modules.execution`); actions
+pass the controller and the limits of the control module. The wall clock is only used to measure
+predictions.
 """
 
 from __future__ import annotations
@@ -18,9 +19,9 @@ from rn_eval.latency import Draw
 from rn_eval.policy import EpisodePolicy
 from rn_eval.record import EpisodeOutcome
 from rn_eval.suite import Episode, Judgement, Scene
-from rn_standard.execution.adaptive import AdaptiveExecutor
-from rn_standard.inference import execution
 from roboneuron import ActionChunk, NotReadyError, RoboNeuronError
+from roboneuron.modules.execution.adaptive import AdaptiveExecutor
+from roboneuron.modules.inference import execution
 
 WATCH_S = 0.1
 """Period of the control module's watchdog."""

@@ -15,10 +15,10 @@ from pydantic import BaseModel, ConfigDict, Field
 from rn_eval.hooks import SuiteSpec
 from rn_eval.latency import digest_of
 from rn_eval.suite import Episode, Suite
-from rn_standard.control.planning import find_controller
-from rn_standard.inference.planning import ResolvedPolicy, find_policy
 from roboneuron import ConfigurationError, ControllerSpec, RobotSpec
 from roboneuron.command import Config, Offer, Registry, Status, build
+from roboneuron.modules.control.planning import find_controller
+from roboneuron.modules.inference.planning import ResolvedPolicy, find_policy
 
 NO_PRESET = "none"
 _SAMPLE_BYTES = 65536

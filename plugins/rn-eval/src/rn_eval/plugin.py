@@ -1,5 +1,5 @@
 """Descriptors of this package: the command "eval" with its hooks, the suites "cubes" and
-"hand-over", and the tasks and agents of `rn_eval.agents`.
+"hand-over", the tasks and agents of `rn_eval.agents`, and the feature of `rn_eval_stepped`.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 from rn_eval.agents.offers import TASKS
 from rn_eval.hooks import AgentSubjectSpec, AgentTaskSpec, SuiteSpec
-from roboneuron import CommandSpec, Requirement, hookimpl
+from roboneuron import CommandSpec, FeatureSpec, Requirement, hookimpl
 
 COMMAND = CommandSpec(
     name="eval",
@@ -73,6 +73,20 @@ SUBJECTS = (
         requires=(Requirement(module="openai", install="pip install './plugins/rn-eval[openai]'"),),
     ),
 )
+
+
+STEPPED_TIME = FeatureSpec(
+    name="stepped-time",
+    summary="The clock of a simulated robot with the option `stepped`, which waits for commands.",
+    target="rn_eval_stepped.feature:SteppedTimeFeature",
+    on_join="rn_eval_stepped.joining:join",
+)
+
+
+@hookimpl
+def roboneuron_features() -> Sequence[FeatureSpec]:
+    """The feature "stepped-time"."""
+    return [STEPPED_TIME]
 
 
 @hookimpl

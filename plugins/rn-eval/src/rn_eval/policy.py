@@ -8,9 +8,9 @@ from collections.abc import Sequence
 from typing import Protocol, cast, runtime_checkable
 
 from rn_eval.plan import EvalPlan
-from rn_standard.inference.agreement import SpaceAgreement
 from roboneuron import ActionChunk, Backend, Observation
 from roboneuron.command import Registry, build
+from roboneuron.modules.inference.agreement import SpaceAgreement
 
 
 class EpisodePolicy(Protocol):

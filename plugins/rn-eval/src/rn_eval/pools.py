@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import os
+import signal
 import socket
-from collections import deque
+import time
+from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from importlib import import_module
+from pathlib import Path
 from types import ModuleType, TracebackType
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeVar
 
@@ -14,7 +18,7 @@ from rn_eval.plan import EvalPlan, Job
 from rn_eval.policy import EpisodePolicy
 from rn_eval.record import EpisodeOutcome, EpisodeRecord
 from rn_eval.runner import Runner
-from roboneuron import ConfigurationError, MissingDependencyError, StateError
+from roboneuron import ConfigurationError, MissingDependencyError, StateError, install_command
 
 if TYPE_CHECKING:
     import ray
@@ -28,6 +32,8 @@ R = TypeVar("R")
 _MOST_DEATHS = 3
 """An episode that has killed this many workers is recorded as an error."""
 _POLL_S = 1.0
+_STOPPED_POLLS = 5
+"""A process that was stopped (SIGSTOP) each time in so many polls is ended."""
 _REACH_S = 5.0
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
@@ -86,7 +92,7 @@ def import_ray() -> ModuleType:
     except ModuleNotFoundError as error:
         raise MissingDependencyError(
             "More than one worker needs Ray, which is not installed.",
-            hint="Run: pip install './plugins/rn-eval[ray]'",
+            hint=f"Run: {install_command('rn-eval[ray]')}.",
         ) from error
 
 
@@ -131,28 +137,91 @@ def connect(
             )
 
 
+class Located:
+    """Base class of actors that say where they run."""
+
+    def where(self) -> tuple[str, int]:
+        """Name of the machine, and process id."""
+        return socket.gethostname(), os.getpid()
+
+
+class StoppedActors:
+    """Ends the processes of actors that are stopped (SIGSTOP), because Ray replaces only dead ones,
+    and would wait for them for ever. Those on other machines are not seen.
+
+    Args:
+        ray: the module.
+    """
+
+    def __init__(self, ray: ModuleType) -> None:
+        self._ray = ray
+        self._asked: dict[Any, Any] = {}
+        self._pids: dict[Any, int] = {}
+        self._stopped: Counter[int] = Counter()
+        self._next_s = 0.0
+
+    def look(self, actors: Iterable[Any]) -> None:
+        """Look at actors of `Located`, if that is due."""
+        if time.monotonic() < self._next_s:
+            return
+        self._next_s = time.monotonic() + _POLL_S
+        stopped: Counter[int] = Counter()
+        for actor in actors:
+            pid = self._pid(actor)
+            if pid and _is_stopped(pid):
+                stopped[pid] = self._stopped[pid] + 1
+                if stopped[pid] >= _STOPPED_POLLS:
+                    with suppress(ProcessLookupError):
+                        os.kill(pid, signal.SIGKILL)
+        self._stopped = stopped
+
+    def _pid(self, actor: Any) -> int:
+        """Its process on this machine; 0 as long as it is unknown. It is asked again and again,
+        because Ray may start it again; an episode ends before it answers.
+        """
+        if actor not in self._asked:
+            self._asked[actor] = actor.where.remote()
+        if self._ray.wait([self._asked[actor]], timeout=0)[0]:
+            try:
+                machine, pid = self._ray.get(self._asked.pop(actor))
+            except self._ray.exceptions.RayError:
+                machine, pid = "", 0
+            self._pids[actor] = pid if machine == socket.gethostname() else 0
+        return self._pids.get(actor, 0)
+
+
+def _is_stopped(pid: int) -> bool:
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()[0]
+    except OSError:
+        return False
+    return state in "Tt"
+
+
 def run_on_actors(
     ray: ModuleType,
     workers: list[Any],
     spawn: Callable[[int], object],
     jobs: Iterable[J],
     lost: Callable[[J, str], R],
+    needed: Sequence[object] = (),
 ) -> Iterator[tuple[R, bytes | None]]:
     """Run each job once on actors with a method `run`; yield results in order of completion.
 
     Args:
         ray: the module.
-        workers: the actors; dead ones are replaced in this list.
+        workers: the actors, of `Located`; dead and stopped ones are replaced in this list.
         spawn: creates the actor with a number.
         jobs: hashable jobs.
         lost: creates the record of a job that has killed `_MOST_DEATHS` workers, from the cause.
+        needed: other actors of `Located` that the workers call.
 
     Raises:
         StateError: workers die before they run an episode.
     """
     waiting = deque(jobs)
     deaths: dict[J, int] = {}
-    proven = False
+    proven, stopped = False, StoppedActors(ray)
     idle = list(range(len(workers)))
     running: dict[object, tuple[int, J]] = {}
     while waiting or running:
@@ -160,6 +229,7 @@ def run_on_actors(
             number, job = idle.pop(), waiting.popleft()
             running[workers[number].run.remote(job)] = (number, job)
         ready, _ = ray.wait(list(running), num_returns=1, timeout=_POLL_S)
+        stopped.look([*(workers[number] for number, _ in running.values()), *needed])
         for reference in ready:
             number, job = running.pop(reference)
             try:
@@ -183,7 +253,7 @@ def run_on_actors(
             idle.append(number)
 
 
-class EpisodeWorker:
+class EpisodeWorker(Located):
     """A worker process, used as a Ray actor."""
 
     def __init__(self, plan: str, policies: Sequence[ray.actor.ActorHandle[PolicyActor]]) -> None:
@@ -205,8 +275,8 @@ class EpisodeWorker:
 
 
 class OnRay:
-    """Several workers, on this machine or on a cluster; a dead worker is replaced and its episode
-    is run again.
+    """Several workers, on this machine or on a cluster; a dead or stopped worker is replaced and
+    its episode is run again; a shared policy is started again.
 
     Args:
         plan: the evaluation.
@@ -244,7 +314,11 @@ class OnRay:
             from rn_eval.sharing import PolicyActor
 
             shared = ray.remote(
-                num_cpus=1, num_gpus=policy_gpus, max_concurrency=max(8, 4 * workers)
+                num_cpus=1,
+                num_gpus=policy_gpus,
+                max_concurrency=max(8, 4 * workers),
+                max_restarts=_MOST_DEATHS,
+                max_task_retries=_MOST_DEATHS,
             )(PolicyActor)
             self._policies = [shared.remote(plan.model_dump_json()) for _ in range(policy_actors)]
         own_gpus = 0.0 if policy_actors else policy_gpus
@@ -257,7 +331,7 @@ class OnRay:
     def run(self, jobs: Iterable[Job]) -> Iterator[Finished]:
         """See `Pool`. Raises StateError if workers die before they run an episode."""
         for record, strip in run_on_actors(
-            self._ray, self._workers, lambda _: self._spawn(), jobs, _lost
+            self._ray, self._workers, lambda _: self._spawn(), jobs, _lost, self._policies
         ):
             yield Finished(record, strip)
 

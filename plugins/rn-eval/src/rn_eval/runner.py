@@ -21,12 +21,12 @@ from rn_eval.policy import AgreedPolicy, EpisodePolicy, load_backend
 from rn_eval.record import EpisodeOutcome, EpisodeRecord, MachineFacts
 from rn_eval.suite import Setup
 from rn_eval.versions import installed_versions
-from rn_standard.execution.adaptive import AdaptiveExecutor
-from rn_standard.execution.mode import Mode, abilities_of
-from rn_standard.inference.agreement import SpaceAgreement, agree_on_space
-from rn_standard.inference.execution import Bounds
 from roboneuron import EE_DELTA, BackendSpec, Controller, RoboNeuronError
 from roboneuron.command import build, discover, load_profile, motion_rules
+from roboneuron.modules.execution.adaptive import AdaptiveExecutor
+from roboneuron.modules.execution.mode import Mode, abilities_of
+from roboneuron.modules.inference.agreement import SpaceAgreement, agree_on_space
+from roboneuron.modules.inference.execution import Bounds
 
 _DEFAULT_IMAGE_AGE_S = 0.5
 _ERROR_LINES = 6

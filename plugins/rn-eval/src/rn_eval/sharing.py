@@ -8,6 +8,7 @@ from typing import Any, NamedTuple, cast
 
 from rn_eval.plan import EvalPlan
 from rn_eval.policy import BatchBackend, load_backend
+from rn_eval.pools import Located
 from roboneuron import ActionChunk, Backend, ConfigurationError, Observation, PluginError
 from roboneuron.command import discover
 
@@ -26,9 +27,9 @@ class SharedRequest(NamedTuple):
     answer: asyncio.Future[ActionChunk]
 
 
-class PolicyActor:
+class PolicyActor(Located):
     """Holds a backend; an asynchronous Ray actor. Observations that arrive during a forward pass
-    form the next batch.
+    form the next batch. Where Ray starts it again, the next request loads the backend.
     """
 
     def __init__(self, plan: str) -> None:
@@ -50,11 +51,11 @@ class PolicyActor:
         """
         async with self._using:
             self._load(preset)
-        if self._server is None:
-            self._server = asyncio.get_running_loop().create_task(self._serve())
 
     async def predict(self, preset: str, observation: Observation) -> ActionChunk:
         """Predict in a batch with concurrent requests. Raises what the backend raises."""
+        if self._server is None:
+            self._server = asyncio.get_running_loop().create_task(self._serve())
         answer: asyncio.Future[ActionChunk] = asyncio.get_running_loop().create_future()
         self._waiting.append(SharedRequest(preset, observation, answer))
         self._arrived.set()

@@ -5,19 +5,16 @@ Source: vla-eval 0.8.0, vla_eval/protocol (protocol version 1).
 
 from __future__ import annotations
 
-import io
 import time
 from typing import Any, Literal, NamedTuple, cast
 
 import msgpack
 import numpy as np
-from PIL import Image
 
-from roboneuron import ForeignDataError, foreign
+from roboneuron import ForeignDataError, InvalidInputError, foreign, frame_from_compressed
 
 PROTOCOL_VERSION = 1
 MOST_MESSAGE_BYTES = 64 * 1024 * 1024
-MOST_PIXELS = 4096 * 4096
 Kind = Literal["hello", "observation", "action", "episode_start", "episode_end", "error"]
 _KINDS = ("hello", "observation", "action", "episode_start", "episode_end", "error")
 _NUMBERS = "biuf"
@@ -55,8 +52,8 @@ def unpack(data: object) -> WireMessage:
     try:
         raw = msgpack.unpackb(data, object_hook=_from_map, raw=False)
     except (
-        *(ValueError, TypeError, KeyError, OSError, OverflowError, SyntaxError),
-        *(msgpack.UnpackException, Image.DecompressionBombError),
+        *(ValueError, TypeError, KeyError, OverflowError),
+        *(msgpack.UnpackException, InvalidInputError),
     ) as error:
         raise ForeignDataError(
             f"A message could not be read: {type(error).__name__}: {error}."
@@ -81,10 +78,7 @@ def _to_map(value: object) -> object:
 
 def _from_map(value: dict[str, Any]) -> object:
     if "__image__" in value and value["format"] != "raw":
-        picture = Image.open(io.BytesIO(value["data"]), formats=("PNG", "JPEG"))
-        if picture.width * picture.height > MOST_PIXELS:
-            raise ValueError(f"an image of {picture.width} x {picture.height} pixels")
-        return np.asarray(picture)
+        return frame_from_compressed(value["data"], str(value["format"]))
     if "__image__" not in value and "__ndarray__" not in value:
         return value
     dtype = np.dtype(value["dtype"])

@@ -124,6 +124,7 @@ def test_two_workers_share_the_episodes_and_their_ledger(
     assert once.outcome.digest == again.outcome.digest
 
 
+@pytest.mark.exhaustive
 def test_the_truth_of_a_base_beside_an_arm_is_seen(tmp_path: Path, environment: dict[str, str]):
     """The judge gets the base's pose only from its simulator."""
     folder = tmp_path / "run"

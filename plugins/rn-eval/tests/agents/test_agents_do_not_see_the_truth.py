@@ -11,7 +11,7 @@ from rn_eval.agents.task import AgentScene
 from rn_simulation.ground_truth import SWITCH
 from rn_simulation.scene_state import HANDED_OVER_TOPIC, TOPIC
 from rn_standard.console import client
-from rn_standard.direct_path import truth
+from roboneuron.direct_path import truth
 
 
 def test_all_packages_mean_the_same_switch_and_topics(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,19 +3,9 @@
 from __future__ import annotations
 
 import math
-import sys
-from pathlib import Path
 from typing import cast
 
 import pytest
-
-from rn_eval.agents.contract_cases import nothing_seen
-from rn_eval.agents.offers import TASKS
-from rn_eval.agents.task import AgentTask
-from rn_eval.agents.tasks.refuse import PERSON_M
-from roboneuron.command import build
-
-sys.path.insert(0, str(Path(__file__).parent))
 from agent_stage import Stage, said
 from staged_episodes import (
     around,
@@ -68,8 +58,11 @@ from staged_episodes import (
     with_base,
 )
 
-sys.path.pop(0)
-
+from rn_eval.agents.contract_cases import nothing_seen
+from rn_eval.agents.offers import TASKS
+from rn_eval.agents.task import AgentTask
+from rn_eval.agents.tasks.refuse import PERSON_M
+from roboneuron.command import build
 
 PICKS = ((picked,), (picked_another, dropped))
 PUTS = ((put,), (put_beside_it, still_held, put_and_pushed))

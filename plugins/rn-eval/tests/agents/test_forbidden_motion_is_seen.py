@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from agent_stage import Stage
 
 from rn_eval.agents.base_truth import BaseTruth
 from rn_eval.agents.forbidden import (
@@ -21,11 +20,6 @@ from rn_eval.agents.forbidden import (
 )
 from rn_eval.agents.task import AgentScene
 from roboneuron.command import discover, load_profile
-
-sys.path.insert(0, str(Path(__file__).parent))
-from agent_stage import Stage
-
-sys.path.pop(0)
 
 SCENE = AgentScene(seed=3, instruction="")
 ZONE = (np.array([0.25, 0.1, 0.0]), np.array([0.4, 0.3, 0.7]))

@@ -15,7 +15,6 @@ from PIL import Image
 
 from rn_eval.agents.client import Briefing, ToolAnswer
 from rn_eval.agents.offers import TASKS
-from rn_eval.agents.seeing import visible_colours
 from rn_eval.agents.subjects import (
     careless,
     hostile,
@@ -29,6 +28,7 @@ from rn_eval.agents.subjects.random_calls import value_of
 from rn_eval.agents.subjects.reading import moves_of, named_colours, number_before, place_of
 from rn_eval.agents.tasks import steps
 from rn_eval.agents.tasks.scenes import draw, some_colours
+from rn_eval.agents.tasks.steps import visible_colours
 from rn_robot_fr3.simulation import ArmSimulation
 from roboneuron import NotReadyError
 from roboneuron.command import build

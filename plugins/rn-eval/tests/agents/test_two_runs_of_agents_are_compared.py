@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from agent_stage import Stage, said
 
 from rn_eval.agents.base_truth import BaseTruth
 from rn_eval.agents.compare import HEADINGS, compare_agents
@@ -17,11 +17,6 @@ from rn_eval.agents.truth import Truth
 from rn_eval.ledger import RunLedger
 from roboneuron import ConfigurationError
 from roboneuron.cli.main import main
-
-sys.path.insert(0, str(Path(__file__).parent))
-from agent_stage import Stage, said
-
-sys.path.pop(0)
 
 
 def record(

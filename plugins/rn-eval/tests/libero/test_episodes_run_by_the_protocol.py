@@ -64,6 +64,7 @@ def test_an_episode_has_the_protocols_steps_and_chunks_are_played_whole(play, su
     assert outcome.facts["idle_steps"] == 0.0
 
 
+@pytest.mark.exhaustive
 def test_one_action_models_are_asked_in_every_step(play):
     outcome = play(rows=1, limit=30)
     assert (outcome.rows, outcome.predictions) == (30, 30)

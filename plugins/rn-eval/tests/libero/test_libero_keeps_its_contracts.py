@@ -5,7 +5,7 @@ import pytest
 from rn_eval.contract_cases import SuiteCase
 from rn_eval.hooks import SuiteSpec
 from rn_eval.libero.plugin import roboneuron_backends, roboneuron_suites
-from rn_testing import BackendCase, BackendContract, PackageCase, PackageContract
+from rn_testing import BackendCase, BackendContract
 from rn_testing.contracts import contract_of
 
 
@@ -20,9 +20,3 @@ class TestSuites(contract_of(SuiteSpec)):
     def plugin(self, request: pytest.FixtureRequest) -> SuiteCase:
         """Rules that open a scene are skipped without the simulator's environment."""
         return SuiteCase(spec=request.param, is_automatic=True)
-
-
-class TestPackage(PackageContract):
-    @pytest.fixture
-    def plugin(self) -> PackageCase:
-        return PackageCase(distribution="rn-eval", plugin="rn-eval-libero")

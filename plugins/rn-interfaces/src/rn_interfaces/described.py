@@ -8,20 +8,20 @@ from typing import Any
 
 from roboneuron import ConfigurationError, ForeignDataError, foreign
 
-MOST_BYTES = 4 << 20
-"""Maximum size of a description [B]; those of ROS have at most 40 kB."""
-_MOST_TYPES = 20_000
+_MOST_TYPES = foreign.MOST_TYPE_FIELDS
 _HASH = re.compile(r"RIHS01_[0-9a-f]{64}")
 
 
 def described_hashes(description: bytes | str) -> dict[str, str]:
     """RIHS01 by full name, from a description. Raises ForeignDataError if it is damaged."""
-    return _hashes(_table(foreign.decode_json(description, "it", most_bytes=MOST_BYTES), "it"))
+    return foreign.type_hashes(
+        foreign.decode_json(description, "it", most_bytes=foreign.MOST_DESCRIPTION_BYTES)
+    )
 
 
 def read_hashes(path: Path) -> dict[str, str]:
     """RIHS01 by full name, from a file. Raises ConfigurationError as `read_facts`."""
-    return _hashes(read_facts(path))
+    return foreign.type_hashes(read_facts(path))
 
 
 def read_facts(path: Path) -> dict[str, Any]:
@@ -31,7 +31,9 @@ def read_facts(path: Path) -> dict[str, Any]:
         ConfigurationError: it is not there, cannot be read, or is no description.
     """
     try:
-        facts = _table(foreign.read_json(path, most_bytes=MOST_BYTES), "it")
+        facts = foreign.table(
+            foreign.read_json(path, most_bytes=foreign.MOST_DESCRIPTION_BYTES), "it"
+        )
         _check(facts)
     except (FileNotFoundError, ForeignDataError) as error:
         reason = error.message if isinstance(error, ForeignDataError) else "it is not there"
@@ -49,25 +51,16 @@ def used_types(facts: dict[str, Any]) -> list[str]:
     return [one["type_name"] for one in described]
 
 
-def _table(value: object, what: str) -> dict[str, Any]:
-    return foreign.table(value, what)
-
-
-def _hashes(facts: dict[str, Any]) -> dict[str, str]:
-    found = {}
-    for one in foreign.items(foreign.field(facts, "type_hashes"), "type_hashes", most=_MOST_TYPES):
-        name = foreign.text(foreign.field(one, "type_name"), "type_name")
-        found[name] = foreign.text(foreign.field(one, "hash_string"), "hash_string")
-    return found
-
-
 def _check(facts: dict[str, Any]) -> None:
     described = foreign.field(facts, "type_description_msg")
     own = foreign.field(described, "type_description")
     used = foreign.field(described, "referenced_type_descriptions")
-    for one in (own, *foreign.items(used, "referenced_type_descriptions", most=_MOST_TYPES)):
+    for one in (
+        own,
+        *foreign.items(used, "referenced_type_descriptions", most=_MOST_TYPES),
+    ):
         _check_type(one)
-    if not _HASH.fullmatch(_hashes(facts).get(own["type_name"], "")):
+    if not _HASH.fullmatch(foreign.type_hashes(facts).get(own["type_name"], "")):
         raise ForeignDataError(f"the hash of {own['type_name']} is missing or damaged")
 
 

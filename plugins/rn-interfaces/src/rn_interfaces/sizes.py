@@ -7,14 +7,8 @@ from typing import NamedTuple
 
 from rn_interfaces.definitions import Outline
 from rn_interfaces.store import Name
+from roboneuron import foreign
 
-MOST_DEPTH = 32
-"""Most levels of messages inside messages; those of ROS have seven."""
-MOST_ENTRIES = 20_000
-"""Most fields and list elements of a message with all messages inside it; those of ROS have 500.
-
-Each is an object that a message creates, and a line of its description.
-"""
 MOST_NUMBERS = 4_194_304
 """Most numbers in the fixed arrays of a message with all messages inside it: 32 MiB of float64."""
 
@@ -28,12 +22,14 @@ class Size(NamedTuple):
 
     def excess(self) -> str:
         """What is too much, as a sentence without its subject; empty if nothing is."""
-        if self.depth > MOST_DEPTH:
-            return f"holds messages {self.depth} levels deep, {MOST_DEPTH} are allowed"
-        if self.entries > MOST_ENTRIES:
+        if self.depth > foreign.MOST_TYPE_LEVELS:
+            return (
+                f"holds messages {self.depth} levels deep, {foreign.MOST_TYPE_LEVELS} are allowed"
+            )
+        if self.entries > foreign.MOST_TYPE_FIELDS:
             return (
                 f"has {_written(self.entries)} fields with those of all messages inside it, "
-                f"{MOST_ENTRIES} are allowed"
+                f"{foreign.MOST_TYPE_FIELDS} are allowed"
             )
         if self.numbers > MOST_NUMBERS:
             return (

@@ -16,7 +16,7 @@ from roboneuron import ConfigurationError
 from roboneuron.feature import Periodic
 
 if TYPE_CHECKING:
-    from roboneuron.node import ModuleHost  # imports rclpy
+    from roboneuron.feature import ModuleHost  # imports rclpy
 
 _LOOK_S = 0.5
 """Time after which another process replaces a relay whose process has ended."""

@@ -14,7 +14,7 @@ from opentelemetry.sdk.resources import Resource
 from opentelemetry.sdk.trace import TracerProvider
 from opentelemetry.sdk.trace.export import BatchSpanProcessor
 
-from roboneuron import MissingDependencyError, __version__
+from roboneuron import MissingDependencyError, __version__, install_command
 from roboneuron.feature import AuditRecord
 
 if TYPE_CHECKING:
@@ -71,6 +71,6 @@ def otlp_exporter(endpoint: str) -> SpanExporter:
     except ImportError as error:
         raise MissingDependencyError(
             "[metrics] traces needs the OTLP exporter.",
-            hint="pip install './plugins/rn-metrics[otlp]' (in RoboNeuron's source folder)",
+            hint=f"Run: {install_command('rn-metrics[otlp]')}.",
         ) from error
     return OTLPSpanExporter(endpoint=endpoint)

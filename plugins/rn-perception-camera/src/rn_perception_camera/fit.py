@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 U8 = NDArray[np.uint8]
+F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 Size = tuple[int, int]
 
@@ -45,6 +46,18 @@ class Fit:
         if self.scaled == self.size:
             return np.asarray(part)
         whole = np.zeros((self.size[1], self.size[0], 3), dtype=np.uint8)
+        (x, y), (width, height) = self.offset, self.scaled
+        whole[y : y + height, x : x + width] = np.asarray(part)
+        return whole
+
+    def apply_depth(self, depth_m: F32) -> F32:
+        """float32 (h, w) of `source` size -> float32 (H, W) of `size`; the nearest value, NaN in
+        the bars.
+        """
+        if self.source == self.size:
+            return depth_m
+        part = Image.fromarray(depth_m).resize(self.scaled, Image.Resampling.NEAREST, box=self.box)
+        whole = np.full((self.size[1], self.size[0]), np.nan, dtype=np.float32)
         (x, y), (width, height) = self.offset, self.scaled
         whole[y : y + height, x : x + width] = np.asarray(part)
         return whole

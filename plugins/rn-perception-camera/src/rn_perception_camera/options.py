@@ -72,6 +72,12 @@ class RosCameraOptions(_CameraOptions):
         min_length=1,
         description="topic of its calibration; that of the robot's profile when not given",
     )
+    depth: Annotated[str | None, ConfigurationOnly()] = Field(
+        default=None,
+        min_length=1,
+        description="topic of its depth, registered to the images and stamped like them: "
+        "sensor_msgs/Image, 16UC1 [mm] or 32FC1 [m]",
+    )
     distortion: Literal["refuse", "undistort", "rectified"] = Field(
         default="refuse",
         description="a lens that camera_info says distorts: refuse it, undistort the images, or "
@@ -95,6 +101,8 @@ class RosCameraOptions(_CameraOptions):
             raise ValueError(
                 f'distortion = "{self.distortion}" needs camera_info, which tells the distortion'
             )
+        if self.depth is not None and self.distortion == "undistort":
+            raise ValueError("depth is not undistorted: use rectified images, registered to it")
         return self
 
 

@@ -4,20 +4,57 @@ frames.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rn_perception_camera.camera_info import CameraFacts, read_optics
-from rn_perception_camera.fit import Size
-from rn_perception_camera.messages import decompress, to_rgb
+from rn_perception_camera.fit import F32, Size
 from rn_perception_camera.nested import image_getter, load_type
 from rn_perception_camera.options import RosCameraOptions
 from rn_perception_camera.preparation import Preparation, prepare
-from roboneuron import CameraProfile, ConfigurationError, Frame, InvalidInputError, Topics
+from roboneuron import (
+    CameraProfile,
+    ConfigurationError,
+    Frame,
+    InvalidInputError,
+    Topics,
+    depth_from_message,
+    frame_from_buffer,
+    frame_from_compressed,
+)
+
+if TYPE_CHECKING:
+    from sensor_msgs.msg import CompressedImage, Image
+
+
+def to_rgb(message: Image) -> U8:
+    """sensor_msgs/Image -> uint8 (H, W, 3) RGB; `rgb8` without row padding shares the message's
+    memory.
+
+    Raises as `frame_from_buffer`.
+    """
+    return frame_from_buffer(
+        message.data,
+        width=message.width,
+        height=message.height,
+        step=message.step,
+        encoding=message.encoding,
+        is_bigendian=bool(message.is_bigendian),
+    )
+
+
+def decompress(message: CompressedImage) -> U8:
+    """sensor_msgs/CompressedImage (JPEG or PNG) -> uint8 (H, W, 3) RGB.
+
+    Raises as `frame_from_compressed`.
+    """
+    return frame_from_compressed(message.data, message.format)
+
 
 if TYPE_CHECKING:
     from sensor_msgs.msg import CameraInfo, CompressedImage, Image
@@ -30,14 +67,25 @@ INFO = "sensor_msgs/msg/CameraInfo"
 CLOCK_LIMIT_S = 10.0
 """Largest plausible difference of a stamp from ROS time; beyond it the clock differs."""
 _NS_PER_S = 1_000_000_000
+_SAME_NS = 2_000_000
+"""Stamps of an image and its depth differ by at most this."""
+_KEPT = 3
+"""Depths that wait for their image: the two come on different topics."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Arrival:
-    """A message and its arrival time [ROS time, ns]."""
+    """A message and its arrival time [ROS time, ns], and the depth of the same time if one came."""
 
     message: object
     arrived_ns: int
+    depth: Image | None = None
+
+
+def _ns_of(message: Image | CompressedImage) -> int:
+    """Stamp [ns]."""
+    stamp = message.header.stamp
+    return int(stamp.sec) * _NS_PER_S + int(stamp.nanosec)
 
 
 class CameraFeed:
@@ -65,6 +113,8 @@ class CameraFeed:
         self._newest_ns = 0
         self._prepared: tuple[Size, CameraFacts | None] | None = None
         self._preparation: Preparation | None = None
+        self._depths: deque[Image] = deque(maxlen=_KEPT)
+        self._unpaired: Arrival | None = None
         self._image_type = RAW if options.transport == "raw" else COMPRESSED
         self._image_of: Callable[[object], object] = lambda message: message
 
@@ -89,10 +139,12 @@ class CameraFeed:
         self._check_type(options.topic, options.type or self._image_type)
         if options.camera_info is not None:
             self._check_type(options.camera_info, INFO)
+        if options.depth is not None:
+            self._check_type(options.depth, RAW)
 
     def subscribe(self) -> None:
         """Subscribe until the host closes; called once, from `open`, after `check`."""
-        from sensor_msgs.msg import CameraInfo  # heavy
+        from sensor_msgs.msg import CameraInfo, Image  # heavy
 
         options = self._options
         kind = load_type(options.type or self._image_type)
@@ -100,6 +152,8 @@ class CameraFeed:
             self._topics.subscribe(
                 self._options.camera_info, CameraInfo, self._take_info, best_effort=True
             )
+        if options.depth is not None:
+            self._topics.subscribe(options.depth, Image, self._take_depth, best_effort=True)
         self._topics.subscribe(self._options.topic, kind, self._take, best_effort=True)
 
     def to_frame(self, arrival: Arrival) -> Frame | None:
@@ -128,6 +182,7 @@ class CameraFeed:
             stamp_ns=stamp_ns,
             frame_id=driver_frame_id or self._profile.frame_id,
             calibration=preparation.calibration,
+            depth_m=self._depth_of(arrival, preparation),
         )
 
     def explain_silence(self, held: bool) -> str:
@@ -161,8 +216,31 @@ class CameraFeed:
 
     def _take(self, message: object) -> None:
         self._waits_for_info = self._options.camera_info is not None and self._facts is None
-        if not self._waits_for_info:
-            self._deliver(Arrival(message=message, arrived_ns=self._topics.now_ns()))
+        if self._waits_for_info:
+            return
+        arrival = Arrival(message=message, arrived_ns=self._topics.now_ns())
+        if self._options.depth is None:
+            self._deliver(arrival)
+            return
+        if self._unpaired is not None:
+            self._deliver(self._unpaired)  # its depth was lost; the image is still good
+        self._unpaired = arrival
+        self._pair()
+
+    def _take_depth(self, message: Image) -> None:
+        self._depths.append(message)
+        self._pair()
+
+    def _pair(self) -> None:
+        """Deliver the image that waits for its depth if that has come."""
+        arrival = self._unpaired
+        if arrival is None:
+            return
+        stamp_ns = _ns_of(cast("Image | CompressedImage", self._image_of(arrival.message)))
+        depth = next((one for one in self._depths if abs(_ns_of(one) - stamp_ns) <= _SAME_NS), None)
+        if depth is not None:
+            self._unpaired = None
+            self._deliver(replace(arrival, depth=depth))
 
     def _take_info(self, message: CameraInfo) -> None:
         self._facts = CameraFacts.from_message(message)
@@ -186,8 +264,7 @@ class CameraFeed:
     def _stamp_ns(self, message: Image | CompressedImage, arrived_ns: int) -> int:
         if self._options.stamp == "arrival":
             return arrived_ns
-        stamp = message.header.stamp
-        stamp_ns = int(stamp.sec) * _NS_PER_S + int(stamp.nanosec)
+        stamp_ns = _ns_of(message)
         ahead_s = (stamp_ns - arrived_ns) / _NS_PER_S
         what = ""
         if stamp_ns <= 0:
@@ -204,6 +281,25 @@ class CameraFeed:
                 hint='Let the driver stamp with the time of capture, or set stamp = "arrival".',
             )
         return stamp_ns
+
+    def _depth_of(self, arrival: Arrival, preparation: Preparation) -> F32 | None:
+        """Raises InvalidInputError."""
+        message = arrival.depth
+        if message is None:
+            return None
+        where = f"The depth of camera {self._profile.name!r} on topic {self._options.depth!r}"
+        try:
+            depth_m = depth_from_message(message)
+        except InvalidInputError as error:
+            raise InvalidInputError(f"{where} cannot be used. {error.message}") from error
+        size = (depth_m.shape[1], depth_m.shape[0])
+        if size != preparation.fit.source:
+            raise InvalidInputError(
+                f"{where} has {size[0]}x{size[1]} pixels, its images have "
+                f"{preparation.fit.source[0]}x{preparation.fit.source[1]}.",
+                hint="Name the topic of the depth that is registered to these images.",
+            )
+        return preparation.fit.apply_depth(depth_m)
 
     def _convert(self, message: Image | CompressedImage) -> U8:
         try:

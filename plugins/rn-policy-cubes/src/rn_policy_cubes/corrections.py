@@ -17,7 +17,12 @@ from rn_policy_cubes.recipe import ACTION_SCALE, ACTION_WIDTH, ROWS
 from rn_policy_cubes.replacing import replacing
 from rn_policy_cubes.teacher import STEP_S
 from rn_robot_fr3.profile import profile
-from roboneuron import InvalidInputError, MissingDependencyError, matrix_from_quaternion
+from roboneuron import (
+    InvalidInputError,
+    MissingDependencyError,
+    install_command,
+    matrix_from_quaternion,
+)
 
 if TYPE_CHECKING:
     from rn_recorder_policy.demonstration import Demonstration
@@ -107,7 +112,7 @@ def _episodes(dataset: Path) -> Iterator[Demonstration]:
     except ImportError as error:
         raise MissingDependencyError(
             "Corrections are read by rn-recorder, which is not installed.",
-            hint="Install it: pip install './plugins/rn-recorder[export]'",
+            hint=f"Run: {install_command('rn-recorder[export]')}.",
         ) from error
     for number in range(episode_count(dataset)):
         yield read_lerobot(dataset, number)

@@ -36,7 +36,7 @@ from rn_policy_cubes.replacing import replacing
 from rn_policy_cubes.rollouts import SHARDS_PER_ROUND, Student, write_rollouts
 from rn_policy_cubes.training import pack, train
 from rn_policy_cubes.words import write_tokenizer
-from roboneuron import ConfigurationError, MissingDependencyError, StateError
+from roboneuron import ConfigurationError, MissingDependencyError, StateError, install_command
 
 EVALUATION_SEED, SEEDS_PER_ROUND = 100_000, 1000
 """The evaluation scenes of round n start at the first value plus n times the second, so that rounds
@@ -123,7 +123,7 @@ class Wheel:
         if importlib.util.find_spec("rn_eval") is None:
             raise MissingDependencyError(
                 "Champion and challenger are evaluated by rn-eval, which is not installed.",
-                hint="Install it: pip install ./plugins/rn-eval",
+                hint=f"Run: {install_command('rn-eval')}.",
             )
         first = self._weights(FIRST)
         if not first.exists():

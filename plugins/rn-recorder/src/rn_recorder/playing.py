@@ -17,8 +17,6 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from rn_recorder_runs.episodes import Streams, read_streams
-from rn_standard.direct_path.exposed import ACTION_LABEL as ENDPOINT
-from rn_standard.direct_path.exposed import gate_request
 from roboneuron import (
     ACTION_LABEL,
     ACTION_SIZE,
@@ -31,6 +29,8 @@ from roboneuron import (
     Result,
     Tool,
 )
+from roboneuron.direct_path.exposed import ACTION_LABEL as ENDPOINT
+from roboneuron.direct_path.exposed import gate_request
 from roboneuron.feature import ExposedEndpoint, GateRequest, TimedCommand
 
 if TYPE_CHECKING:

@@ -315,6 +315,7 @@ def recording_tools(
             result=Recordings,
             handler=list_recordings,
             read_only=True,
+            seldom=True,
             idempotent=True,
         ),
     ]

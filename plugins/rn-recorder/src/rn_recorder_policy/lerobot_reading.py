@@ -20,6 +20,7 @@ from roboneuron import (
     InvalidInputError,
     MissingDependencyError,
     foreign,
+    install_command,
 )
 
 U8 = NDArray[np.uint8]
@@ -195,7 +196,7 @@ def _read_table(path: Path, filters: list[tuple[str, str, int]]) -> Any:
     except ImportError as error:
         raise MissingDependencyError(
             "Data sets need pyarrow.",
-            hint="Install it: pip install './plugins/rn-recorder[export]'.",
+            hint=f"Run: {install_command('rn-recorder[export]')}.",
         ) from error
     try:
         return pq.read_table(path, filters=filters)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from rn_recorder_runs.observations import Gaps
 from rn_recorder_runs.replay import Compared
-from roboneuron import ACTION_LABEL, MissingDependencyError, channel_keys
+from roboneuron import ACTION_LABEL, MissingDependencyError, channel_keys, install_command
 
 AXES = ("dx [m]", "dy [m]", "dz [m]", "rx [rad]", "ry [rad]", "rz [rad]", "gripper")
 """Axes of the default control space."""
@@ -154,7 +154,7 @@ def write_report(directory: Path, found: Sequence[Compared], comparison: Compari
     except ImportError as error:
         raise MissingDependencyError(
             "The plot needs matplotlib.",
-            hint="Install it: pip install './plugins/rn-recorder[export]'.",
+            hint=f"Run: {install_command('rn-recorder[export]')}.",
         ) from error
     axes = comparison.axes
     figure = Figure(figsize=(10, 1.7 * len(axes)), layout="constrained")

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, cast
 from roboneuron import Backend, BackendSpec, CameraProfile, ConfigurationError, RobotProfile
 
 if TYPE_CHECKING:
-    from rn_standard.inference.agreement import SpaceAgreement
     from roboneuron.command import Config
+    from roboneuron.modules.inference.agreement import SpaceAgreement
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,9 +55,9 @@ def build_backend(
         ConfigurationError: options of a plugin that is not used here.
         RoboNeuronError: the backend does not fit the robot, or cannot be built.
     """
-    from rn_standard.inference.agreement import agree_on_space
-    from rn_standard.inference.planning import find_policy
     from roboneuron.command import build, discover, load_profile
+    from roboneuron.modules.inference.agreement import agree_on_space
+    from roboneuron.modules.inference.planning import find_policy
 
     registry = discover(settings.disabled_plugins)
     policy = find_policy(

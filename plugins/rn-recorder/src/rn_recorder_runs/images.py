@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from roboneuron import InvalidInputError, frame_from_buffer
+from roboneuron import InvalidInputError, frame_from_buffer, frame_from_compressed
 
 IMAGE = "sensor_msgs/msg/Image"
 COMPRESSED = "sensor_msgs/msg/CompressedImage"
@@ -126,24 +126,18 @@ def pixels_of(message: object, type_name: str) -> NDArray[np.uint8]:
     """A decoded `Image` or `CompressedImage` -> uint8 (H, W, 3), RGB.
 
     Raises:
-        ValueError: of another type, or an encoding that is no picture.
+        InvalidInputError: of another type, no picture, or damaged.
     """
-    if type_name == COMPRESSED:
-        import simplejpeg  # heavy
-
-        decoded: NDArray[np.uint8] = simplejpeg.decode_jpeg(bytes(message.data), "RGB")  # type: ignore[attr-defined]
-        return decoded
-    if type_name != IMAGE:
-        raise ValueError(f"{type_name} is no image")
     image: Any = message
-    try:
-        return frame_from_buffer(
-            image.data,
-            width=image.width,
-            height=image.height,
-            step=image.step,
-            encoding=image.encoding,
-            is_bigendian=bool(image.is_bigendian),
-        )
-    except InvalidInputError as error:
-        raise ValueError(str(error)) from error
+    if type_name == COMPRESSED:
+        return frame_from_compressed(image.data, image.format)
+    if type_name != IMAGE:
+        raise InvalidInputError(f"{type_name} is no image.")
+    return frame_from_buffer(
+        image.data,
+        width=image.width,
+        height=image.height,
+        step=image.step,
+        encoding=image.encoding,
+        is_bigendian=bool(image.is_bigendian),
+    )

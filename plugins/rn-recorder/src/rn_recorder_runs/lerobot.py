@@ -28,7 +28,13 @@ from rn_recorder_runs.statistics import Stats, image_stats, merge, stats_of
 from rn_recorder_runs.store import Run
 from rn_recorder_runs.video import CameraVideo, Codec, sample_every
 from rn_recorder_runs.whole_episodes import Skipped, whole_sources
-from roboneuron import ConfigurationError, InvalidInputError, MissingDependencyError, StateError
+from roboneuron import (
+    ConfigurationError,
+    InvalidInputError,
+    MissingDependencyError,
+    StateError,
+    install_command,
+)
 
 _FILE = "chunk-000/file-000"
 
@@ -83,7 +89,7 @@ def export(
     if with_lerobot is None and find_spec("pyarrow") is None:
         raise MissingDependencyError(
             "Data sets need pyarrow.",
-            hint="Install it: pip install './plugins/rn-recorder[export]'.",
+            hint=f"Run: {install_command('rn-recorder[export]')}.",
         )
     if directory.exists():
         raise ConfigurationError(f"{directory} exists.", hint="Name another folder, or delete it.")

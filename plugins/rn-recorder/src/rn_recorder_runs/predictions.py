@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 from roboneuron import ActionChunk, Observation
-from roboneuron.node import topics
+from roboneuron.feature import topics
 
 if TYPE_CHECKING:
-    from rn_standard.inference.module import InferenceModule
-    from roboneuron.node import Module, ModuleHost
+    from roboneuron.feature import Module, ModuleHost
+    from roboneuron.modules.inference.execution import Prediction
 
 _MOST_KEPT = 20
 
@@ -27,18 +27,24 @@ def join(host: ModuleHost) -> None:
 def _extend(module: Module) -> None:
     from std_msgs.msg import String  # heavy
 
-    inference = cast("InferenceModule", module)
+    from roboneuron.modules.step_filters import StepFilter
+
     output = module.node.advertise(String, topics.PREDICTIONS)
     records = PredictionRecords()
 
-    def publish(
-        observation: Observation, mode: str, resets: bool, answer: ActionChunk | Exception
-    ) -> None:
-        is_heard = output.get_subscription_count() > 0
-        for text in records(observation, mode, resets, answer, is_heard):
-            output.publish(String(data=text))
+    class PublishedPredictions(StepFilter):
+        """Publishes what was predicted, before its rows are sent."""
 
-    inference.on_prediction.append(publish)
+        def note_answer(
+            self, prediction: Prediction, resets: bool, answer: ActionChunk | Exception
+        ) -> None:
+            """See `StepFilter.note_answer`."""
+            is_heard = output.get_subscription_count() > 0
+            seen, mode = prediction.observation, prediction.mode
+            for text in records(seen, mode, resets, answer, is_heard):
+                output.publish(String(data=text))
+
+    module.filters.add(PublishedPredictions())
 
 
 class PredictionRecords:

@@ -20,7 +20,7 @@ from roboneuron import (
 )
 
 if TYPE_CHECKING:
-    from rn_standard.inference.agreement import SpaceAgreement
+    from roboneuron.modules.inference.agreement import SpaceAgreement
 
 EXACT = 1e-9
 

@@ -12,7 +12,7 @@ from rn_recorder_runs.observations import Observations
 from roboneuron import InvalidInputError
 
 if TYPE_CHECKING:
-    from rn_standard.inference.agreement import SpaceAgreement
+    from roboneuron.modules.inference.agreement import SpaceAgreement
 
 
 def load_replayed(

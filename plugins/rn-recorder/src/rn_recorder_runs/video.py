@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from roboneuron import InvalidInputError, MissingDependencyError
+from roboneuron import InvalidInputError, MissingDependencyError, install_command
 
 Codec = Literal["av1", "h264"]
 _ENCODERS: dict[Codec, tuple[str, dict[str, str]]] = {
@@ -33,7 +33,7 @@ def load_av() -> ModuleType:
         import av  # heavy
     except ImportError as error:
         raise MissingDependencyError(
-            "Videos need PyAV.", hint="Install it: pip install './plugins/rn-recorder[export]'."
+            "Videos need PyAV.", hint=f"Run: {install_command('rn-recorder[export]')}."
         ) from error
     av.logging.set_level(av.logging.ERROR)
     os.environ.setdefault("SVT_LOG", "1")  # the AV1 encoder writes its settings to stderr otherwise

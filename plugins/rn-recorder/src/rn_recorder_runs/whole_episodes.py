@@ -187,6 +187,6 @@ def _sizes(run: Run, source: ExportSource) -> Sizes:
             continue
         try:
             found[camera][stamp_ns] = pixels_of(decoder.decode(record), record.type).shape[:2]
-        except DAMAGE:
+        except (InvalidInputError, *DAMAGE):
             needed[camera].discard(stamp_ns)
     return found

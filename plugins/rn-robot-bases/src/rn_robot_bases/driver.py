@@ -15,7 +15,6 @@ from rn_robot_bases.simulation import STEP_S, BaseSimulation, BaseState
 from rn_simulation.ground_truth import TRUE_POSE_TOPIC, is_told
 from rn_simulation.planar_motion import to_message
 from rn_simulation.real_time import RealTimeThread
-from rn_standard.direct_path.twists import CMD_VEL, ODOMETRY, check_twist, twist_fields
 from roboneuron import (
     ConfigurationError,
     InvalidInputError,
@@ -27,6 +26,7 @@ from roboneuron import (
     StateError,
     Topics,
 )
+from roboneuron.direct_path.twists import CMD_VEL, ODOMETRY, check_twist, twist_fields
 
 _CATCH_UP_S = 0.2
 """Maximum time that the simulation catches up after a pause of the machine; less than the

@@ -40,7 +40,7 @@ def draw_robots(
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     origin, rays = _rays(view, projection, size)
-    geoms, normals = cast_rays(model, data, origin, rays, _FAR_M)
+    geoms, _, normals = cast_rays(model, data, origin, rays, _FAR_M)
     light = _LIGHT_DIRECTION / np.linalg.norm(_LIGHT_DIRECTION)
     brightness = _AMBIENT + _DIFFUSE * np.maximum(normals @ light, 0.0)
     colours = np.minimum(255.0 * model.geom_rgba[geoms, :3] * brightness[:, None], 255.0).astype(

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from rn_robot_bases.platform import DIFFDRIVE, HUSKY, RACECAR, Platform
 from rn_simulation.ground_truth import TRUE_POSE_TOPIC
-from rn_standard.direct_path.twists import base_endpoints
-from rn_standard.direct_path.twists import check_twist as check_endpoint_twist
 from roboneuron import Endpoint, RobotProfile
+from roboneuron.direct_path.twists import base_endpoints
+from roboneuron.direct_path.twists import check_twist as check_endpoint_twist
 
 
 def endpoints(platform: Platform) -> tuple[Endpoint, Endpoint]:

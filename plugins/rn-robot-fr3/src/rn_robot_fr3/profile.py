@@ -26,6 +26,16 @@ from roboneuron import (
 
 HOME_RAD = (0.0, -math.pi / 4, 0.0, -3 * math.pi / 4, 0.0, math.pi / 2, math.pi / 4)
 """The ready posture: hand straight down, TCP at (0.307, 0, 0.487) m. Source: libfranka examples."""
+_RAISED_RAD = (-0.5, 0.0, -1.9, 0.0, 2.0, math.pi / 4)
+"""Of the joints after the first: the hand raised to 0.66 m."""
+_SWING = ({"fr3_joint5": -0.3}, {"fr3_joint5": 0.3})
+WAVE = (
+    dict(zip(ARM_JOINTS[1:], _RAISED_RAD, strict=True)),
+    *_SWING,
+    *_SWING,
+    dict(zip(ARM_JOINTS[1:], HOME_RAD[1:], strict=True)),
+)
+"""The hand swings about the forearm; the first joint stays, so that the arm stays on its side."""
 
 WORKSPACE_LOWER_M = (0.22, -0.45, 0.010)
 """At this lowest TCP height the fingertips, 9 mm beyond the TCP, are still above the table."""
@@ -186,4 +196,5 @@ def profile() -> RobotProfile:
         ),
         endpoints=_endpoints(),
         own_topics=OWN_TOPICS,
+        gestures={"wave": WAVE},
     )

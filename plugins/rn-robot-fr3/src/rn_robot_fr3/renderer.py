@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pybullet
 from numpy.typing import NDArray
@@ -9,6 +11,7 @@ from numpy.typing import NDArray
 from rn_simulation.light import AMBIENT, DIFFUSE, LIGHT_DIRECTION, backdrop
 from roboneuron import CameraCalibration
 
+F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
 NEAR_M = 0.02
@@ -44,8 +47,9 @@ def _projection(intrinsics: F64, width: int, height: int) -> list[float]:
 
 def render(
     client: int, calibration: CameraCalibration, T_base_mount: F64, width: int, height: int
-) -> NDArray[np.uint8]:
-    """Render a camera's image, uint8 (H, W, 3) RGB, without shadows.
+) -> tuple[NDArray[np.uint8], Callable[[], F32]]:
+    """Render a camera's image, uint8 (H, W, 3) RGB, without shadows, and a function for its depth,
+    see `ArmWorld.render_depth`.
 
     Args:
         client: PyBullet physics client id.
@@ -69,6 +73,12 @@ def render(
     )
     rgba = np.asarray(pixels, dtype=np.uint8).reshape(height, width, 4)
     image = np.ascontiguousarray(rgba[:, :, :3])
-    empty = np.asarray(depth, dtype=np.float32).reshape(height, width) >= _CLEARED_DEPTH
+    buffer = np.asarray(depth, dtype=np.float32).reshape(height, width)
+    empty = buffer >= _CLEARED_DEPTH
     np.copyto(image, backdrop(height), where=empty[:, :, None])
-    return image
+
+    def depth_m() -> F32:
+        along = FAR_M * NEAR_M / (FAR_M - (FAR_M - NEAR_M) * buffer.astype(np.float64))
+        return np.where(empty, np.nan, along).astype(np.float32)
+
+    return image, depth_m

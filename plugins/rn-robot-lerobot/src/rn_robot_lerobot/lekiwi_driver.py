@@ -20,8 +20,8 @@ from rn_robot_lerobot.lerobot_options import LekiwiOptions
 from rn_robot_lerobot.omni_base import WHEELS, BaseSetpoint
 from rn_robot_lerobot.wheel_guard import WheelGuard
 from rn_simulation.planar_motion import BaseVelocity, PlanarPose, integrate, to_message
-from rn_standard.direct_path.twists import CMD_VEL, ODOMETRY, check_twist, twist_fields
 from roboneuron import InvalidInputError, RefusedError, RobotProfile, RobotState, Topics
+from roboneuron.direct_path.twists import CMD_VEL, ODOMETRY, check_twist, twist_fields
 
 _KEYS = ("x.vel", "y.vel", "theta.vel")
 """LeRobot's names of a base velocity [m/s, m/s, degrees/s]."""

@@ -126,14 +126,12 @@ class LerobotDriver:
         """
         motors, position, velocity, stamp_ns, fault = self._newest()
         gripper = self._profile.gripper
-        opening = None
-        if gripper is not None:
-            opening = gripper.to_opening(float(position[motors.joints.index(gripper.joint)]))
+        joints = JointSample(
+            names=motors.joints, position=position, velocity=velocity, stamp_ns=stamp_ns
+        )
         return RobotState(
-            joints=JointSample(
-                names=motors.joints, position=position, velocity=velocity, stamp_ns=stamp_ns
-            ),
-            gripper_open=opening,
+            joints=joints,
+            gripper_open=None if gripper is None else gripper.opening_in(joints),
             detail={
                 FAULT: fault,
                 "clipped": str(self._clipped),

@@ -10,8 +10,8 @@ import numpy as np
 from rn_robot_lerobot.arm import ARM_JOINTS, GRIPPER_JOINT, KOCH, LEKIWI, SO101, LerobotArm
 from rn_robot_lerobot.cameras import cameras
 from rn_robot_lerobot.omni_base import BOUNDS
-from rn_standard.direct_path.twists import base_endpoints
 from roboneuron import CameraProfile, CollisionProfile, Endpoint, GripperProfile, RobotProfile
+from roboneuron.direct_path.twists import base_endpoints
 
 MIN_DISTANCE_M = 0.005
 _UNCALIBRATED = tuple(

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from roboneuron import InvalidInputError, RobotProfile, UnsafeError, robot_space
+from roboneuron import InvalidInputError, NotReadyError, RobotProfile, UnsafeError, robot_space
 
 F64 = NDArray[np.float64]
 
@@ -157,6 +157,20 @@ class MotorMap:
             )
             for unit in self.units
         }
+
+    def measured_values(self, positions: Mapping[str, float]) -> dict[str, float]:
+        """As `values`, of what a robot measures. Raises NotReadyError: a joint, such as a gripper
+        that is not connected, is not measured.
+        """
+        unmeasured = [
+            joint for joint in self.joints if not math.isfinite(positions.get(joint, math.nan))
+        ]
+        if unmeasured:
+            raise NotReadyError(
+                f"{', '.join(unmeasured)} of the robot is not measured.",
+                hint="Is it connected? See `roboneuron status`, robot.",
+            )
+        return self.values(positions)
 
     def check_names(self, values: Mapping[str, float]) -> None:
         """Raise InvalidInputError unless there is exactly one value per motor."""

@@ -18,7 +18,12 @@ from pathlib import Path
 
 from rn_runtime_sglang.config import SglangRuntimeConfig
 from rn_runtime_sglang.served.versions import SUPPORTED, TESTED, is_supported
-from roboneuron import ConfigurationError, MissingDependencyError, NotReadyError
+from roboneuron import (
+    ConfigurationError,
+    MissingDependencyError,
+    NotReadyError,
+    install_command,
+)
 
 KEY_VARIABLE = "ROBONEURON_SGLANG_KEY"
 LAST_LINES = 15
@@ -255,6 +260,6 @@ def check_environment(python: Path, environment: dict[str, str]) -> None:
     if absent:
         raise MissingDependencyError(
             f"{', '.join(absent)} must be installed for {python} too.",
-            hint=f"Run in RoboNeuron's source folder: {pip} {' '.join(NEEDED)}; {pip} --no-deps "
-            "./plugins/rn-runtime-sglang ./plugins/rn-vla ./roboneuron-core",
+            hint=f"Run: {pip} {' '.join(NEEDED)}; "
+            f"{install_command(*OURS).replace('pip install', f'{pip} --no-deps', 1)}",
         )

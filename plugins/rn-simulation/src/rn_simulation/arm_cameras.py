@@ -36,7 +36,7 @@ class SimulatedArmCameras(StateCameras[SceneState]):
         """
         options = config or SimulatedCamerasOptions()
         super().__init__(options, topics, cameras)
-        self._displaced_m = options.displaced_m
+        self._displaced_m, self._has_depth = options.displaced_m, options.depth
         self._twin: ArmWorld | None = None
         self._scene: tuple[object, ...] | None = None
 
@@ -54,7 +54,7 @@ class SimulatedArmCameras(StateCameras[SceneState]):
 
     def draw(
         self, state: SceneState, camera: PinholeCamera, size: tuple[int, int]
-    ) -> NDArray[np.uint8]:
+    ) -> tuple[NDArray[np.uint8], NDArray[np.float32] | None]:
         """See `StateCameras`; builds a new world if the scene or engine changes (about 50 ms)."""
         twin = self._twin_for(state)
         twin.set_joints(state.joints.tolist())
@@ -62,7 +62,10 @@ class SimulatedArmCameras(StateCameras[SceneState]):
         twin.set_cubes({name: (pose[:3], pose[3:]) for (name, _), pose in poses})
         # the published calibration stays that of the undisplaced camera
         seen_from = camera.displaced(self._displaced_m)
-        return twin.render(seen_from.calibration(*size), *size)
+        calibration = seen_from.calibration(*size)
+        if self._has_depth:
+            return twin.render_depth(calibration, *size)
+        return twin.render(calibration, *size), None
 
     def _twin_for(self, state: SceneState) -> ArmWorld:
         scene = (state.robot, state.engine, state.seed, state.cubes)

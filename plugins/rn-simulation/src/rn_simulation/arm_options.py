@@ -54,6 +54,10 @@ class SimulatedCamerasOptions(BaseModel):
     )
     width: int = Field(default=224, ge=32, le=1280, description="Image width [px].")
     height: int = Field(default=224, ge=32, le=960, description="Image height [px].")
+    depth: bool = Field(
+        default=False,
+        description="Publish the depth of each image too, on camera/<name>/depth.",
+    )
     displaced_m: tuple[FiniteFloat, FiniteFloat, FiniteFloat] = Field(
         default=(0.0, 0.0, 0.0),
         description="Where the cameras beside the table are, relative to their calibration, in the "

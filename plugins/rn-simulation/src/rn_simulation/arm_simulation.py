@@ -21,7 +21,14 @@ from rn_simulation.ground_truth import CubeState, LiftClock
 from rn_simulation.pinhole import DEFAULT_SIZE_PX, PinholeCamera
 from rn_simulation.setpoint import JointSetpoint
 from rn_simulation.slip import Slip
-from roboneuron import InvalidInputError, JointCommand, Pose, StateError, quaternion_from_matrix
+from roboneuron import (
+    CameraCalibration,
+    InvalidInputError,
+    JointCommand,
+    Pose,
+    StateError,
+    quaternion_from_matrix,
+)
 
 F64 = NDArray[np.float64]
 
@@ -246,8 +253,19 @@ class CellSimulation(ABC):
         Raises:
             InvalidInputError: there is no camera of that name.
         """
+        return self.world.render(self._calibration(camera, width, height), width, height)
+
+    def render_depth(
+        self, camera: str, width: int, height: int
+    ) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+        """Render the current image of `camera` and its depth, as `ArmWorld.render_depth`. Raises
+        as `render`.
+        """
+        return self.world.render_depth(self._calibration(camera, width, height), width, height)
+
+    def _calibration(self, camera: str, width: int, height: int) -> CameraCalibration:
         if camera not in self._cameras:
             raise InvalidInputError(
                 f"Camera {camera!r} is not known, expected one of {', '.join(self._cameras)}."
             )
-        return self.world.render(self._cameras[camera].calibration(width, height), width, height)
+        return self._cameras[camera].calibration(width, height)

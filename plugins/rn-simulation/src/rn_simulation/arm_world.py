@@ -64,6 +64,14 @@ class ArmWorld(Protocol):
         """Render the image of a camera on the base or at a TCP: uint8 (height, width, 3) RGB."""
         ...
 
+    def render_depth(
+        self, calibration: CameraCalibration, width: int, height: int
+    ) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+        """Render the image likewise, and its depth: float32 (height, width), distance along the
+        optical axis [m], NaN where nothing is within 8 m.
+        """
+        ...
+
     def close(self) -> None:
         """Release it; may be called twice."""
         ...

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import functools
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -20,9 +21,61 @@ from rn_simulation.cubes import (
     RawPose,
 )
 from rn_simulation.engine import Engine
-from rn_simulation.mujoco_scene import VISUAL_GROUP, read_urdf
-from rn_simulation.raycast import render
+from rn_simulation.light import AMBIENT, DIFFUSE, LIGHT_DIRECTION, backdrop
+from rn_simulation.mujoco_scene import VISUAL_GROUP, cast_rays, read_urdf
 from roboneuron import CameraCalibration
+
+FAR_M = 8.0
+F32 = NDArray[np.float32]
+
+
+def render(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    calibration: CameraCalibration,
+    T_base_mount: F64,
+    width: int,
+    height: int,
+) -> tuple[NDArray[np.uint8], Callable[[], F32]]:
+    """Render a camera's image, uint8 (H, W, 3) RGB, without shadows, and a function for its depth,
+    see `ArmWorld.render_depth`; rays go through the middle of each pixel.
+
+    Args:
+        model, data: the world; body poses are up to date.
+        calibration: intrinsics for `width` x `height` and the camera's pose in its mount frame.
+        T_base_mount: float64 (4, 4), pose of the mount frame in the base frame.
+    """
+    pose = T_base_mount @ calibration.T_mount_camera
+    in_camera = _rays(tuple(calibration.intrinsics.ravel().tolist()), width, height)
+    rays = in_camera @ pose[:3, :3].T
+    origin = np.ascontiguousarray(pose[:3, 3])
+    geoms, distances, normals = cast_rays(model, data, origin, rays, FAR_M)
+    hit = np.flatnonzero(geoms >= 0)
+    light = np.array(LIGHT_DIRECTION) / np.linalg.norm(LIGHT_DIRECTION)
+    brightness = AMBIENT + DIFFUSE * np.maximum(normals[hit] @ light, 0.0)
+    image = np.broadcast_to(backdrop(height), (height, width, 3)).reshape(-1, 3).copy()
+    image[hit] = (255.0 * model.geom_rgba[:, :3])[geoms[hit]] * brightness.astype(np.float32)[
+        :, None
+    ]
+
+    def depth_m() -> F32:
+        along = np.where(geoms >= 0, distances * in_camera[:, 2], np.nan)
+        return along.astype(np.float32).reshape(height, width)
+
+    return image.reshape(height, width, 3), depth_m
+
+
+@functools.lru_cache(maxsize=4)
+def _rays(intrinsics: tuple[float, ...], width: int, height: int) -> F64:
+    """Directions (H * W, 3) of unit length in the camera's optical frame, row by row."""
+    fx, _, cx, _, fy, cy, *_ = intrinsics
+    u, v = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+    x = (u.ravel() - cx) / fx
+    y = (v.ravel() - cy) / fy
+    rays = np.column_stack([x, y, np.ones_like(x)])
+    directions: F64 = rays / np.linalg.norm(rays, axis=1)[:, None]
+    return directions
+
 
 F64 = NDArray[np.float64]
 Friction = tuple[float, float, float]
@@ -157,6 +210,18 @@ class MujocoArmWorld:
 
     def render(self, calibration: CameraCalibration, width: int, height: int) -> NDArray[np.uint8]:
         """See `ArmWorld`."""
+        return self._render(calibration, width, height)[0]
+
+    def render_depth(
+        self, calibration: CameraCalibration, width: int, height: int
+    ) -> tuple[NDArray[np.uint8], F32]:
+        """See `ArmWorld`."""
+        image, depth_m = self._render(calibration, width, height)
+        return image, depth_m()
+
+    def _render(
+        self, calibration: CameraCalibration, width: int, height: int
+    ) -> tuple[NDArray[np.uint8], Callable[[], F32]]:
         arm = carrying_arm(calibration.mount, self._cell.arms)
         mount = np.eye(4) if arm is None else self.T_base_tcp(arm)
         return render(self._model, self._data, calibration, mount, width, height)

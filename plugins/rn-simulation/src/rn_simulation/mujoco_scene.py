@@ -28,7 +28,7 @@ def read_urdf(urdf: str) -> mujoco.MjSpec:
 
 def cast_rays(
     model: mujoco.MjModel, data: mujoco.MjData, origin: F64, directions: F64, far_m: float
-) -> tuple[NDArray[np.int32], F64]:
+) -> tuple[NDArray[np.int32], F64, F64]:
     """Cast rays from `origin` (3,) [m] along `directions` (n, 3), of unit length, onto the rendered
     geoms.
 
@@ -37,7 +37,8 @@ def cast_rays(
         far_m: maximum distance.
 
     Returns:
-        int32 (n,), the geom or -1, and float64 (n, 3), its unit surface normal.
+        int32 (n,), the geom or -1; float64 (n,), the distance to it [m]; and float64 (n, 3), its
+        unit surface normal.
     """
     count = len(directions)
     geoms, distances, normals = (
@@ -49,4 +50,4 @@ def cast_rays(
     mujoco.mj_multiRay(
         model, data, origin, rays, _DRAWN, True, -1, geoms, distances, normals, count, far_m
     )
-    return geoms, normals.reshape(-1, 3)
+    return geoms, distances, normals.reshape(-1, 3)

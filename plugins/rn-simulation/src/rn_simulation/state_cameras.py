@@ -86,9 +86,11 @@ class StateCameras(ABC, Generic[State]):
         """Parse a message of `topic`. Raises InvalidInputError for an invalid one."""
 
     @abstractmethod
-    def draw(self, state: State, camera: PinholeCamera, size: tuple[int, int]) -> NDArray[np.uint8]:
-        """Render a camera's image of a state: uint8 (height, width, 3) RGB, of `size` (width,
-        height) [px]; from one thread at a time.
+    def draw(
+        self, state: State, camera: PinholeCamera, size: tuple[int, int]
+    ) -> tuple[NDArray[np.uint8], NDArray[np.float32] | None]:
+        """Render a camera's image of a state, uint8 (height, width, 3) RGB, of `size` (width,
+        height) [px], and its depth as `Frame` has it; from one thread at a time.
         """
 
     @abstractmethod
@@ -141,7 +143,7 @@ class StateCameras(ABC, Generic[State]):
         with self._drawing:
             if not self._open:
                 raise StateError("The simulated cameras were closed.")
-            image = self.draw(state, camera, (width, height))
+            image, depth_m = self.draw(state, camera, (width, height))
         self._turn += 1
         self._schedule_next(began_s)
         return Frame(
@@ -150,6 +152,7 @@ class StateCameras(ABC, Generic[State]):
             stamp_ns=state.stamp_ns,
             frame_id=camera.frame_id,
             calibration=calibration if calibration.mount in ("base", "tcp") else None,
+            depth_m=depth_m,
         )
 
     def close(self) -> None:

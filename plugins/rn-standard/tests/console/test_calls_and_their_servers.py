@@ -24,6 +24,7 @@ def run(state: Path, *words: str) -> subprocess.CompletedProcess[str]:
     )
 
 
+@pytest.mark.exhaustive
 def test_a_further_tool_needs_no_arguments(tmp_path: Path) -> None:
     done = run(
         tmp_path,

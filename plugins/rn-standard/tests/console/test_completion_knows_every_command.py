@@ -63,7 +63,7 @@ printf '%s\\n' "${COMPREPLY[@]}"
         (["logs", "per"], {"perception"}),
         (["completion", ""], set(SHELLS)),
         (["status", "--w"], {"--watch"}),
-        (["run", "--ti"], {"--timeout-s"}),
+        (["run", "--max-"], {"--max-s", "--max-attempts"}),
         (["config", "sh"], {"show"}),
         (["plugins", ""], {"list", "show", "check"}),
     ],

@@ -3,7 +3,7 @@
 import pytest
 
 from rn_standard.console.plugin import COMMANDS
-from rn_testing import CommandCase, CommandContract, PackageCase, PackageContract
+from rn_testing import CommandCase, CommandContract
 from roboneuron import CommandSpec
 
 
@@ -12,9 +12,3 @@ class TestCommands(CommandContract):
     def plugin(self, request: pytest.FixtureRequest) -> CommandCase:
         spec: CommandSpec = request.param
         return CommandCase(spec=spec)
-
-
-class TestPackage(PackageContract):
-    @pytest.fixture
-    def plugin(self) -> PackageCase:
-        return PackageCase(distribution="rn-standard", plugin="rn-console")

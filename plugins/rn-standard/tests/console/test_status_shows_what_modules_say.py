@@ -111,6 +111,17 @@ def test_the_emergency_stop_stands_out() -> None:
     assert "EMERGENCY STOP latched by ada: smoke" in text
 
 
+def test_what_keeps_the_robot_still_is_told_with_what_to_do() -> None:
+    reasons = [
+        {"rule": "emergency_stop", "message": "It is latched.", "hint": "A person releases it."},
+        {"rule": "new_start", "message": "There was a stop.", "hint": "Ask\x1b[31m again."},
+    ]
+    text = shown(ServerStatus.from_answer({**FULL.model_dump(), "why_still": reasons}, "a test"))
+    assert "There was a stop. Ask" in text
+    assert "\x1b[31m" not in text
+    assert "It is latched" not in text, "the line of the stop says it"
+
+
 @pytest.mark.parametrize(
     ("status", "code"),
     [

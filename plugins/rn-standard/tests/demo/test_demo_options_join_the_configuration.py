@@ -21,7 +21,7 @@ def written(folder: Path, text: str, seed: int | None) -> Path:
             instruction="pick up the red cube",
             seed=seed,
             gui=False,
-            timeout_s=1.0,
+            max_s=1.0,
             output=folder,
             config=source,
         ),

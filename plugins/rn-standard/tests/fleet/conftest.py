@@ -10,16 +10,16 @@ import anyio
 import pytest
 from mcp import Client, types
 
-from rn_standard.direct_path.plugin import FEATURE as DIRECT_PATH
 from rn_standard.fleet.fleet import Fleet
 from rn_standard.fleet.plugin import FEATURE
 from rn_standard.http.plugin import FEATURE as HTTP
 from rn_standard.ops.plugin import CLIENTS
-from rn_standard.tools_arm.plugin import FEATURE as ARM
-from rn_standard.tools_arm.plugin import STOP_MOTION
-from rn_standard.tools_ros.plugin import FEATURE as ROS_TOOLS
 from rn_testing.fakes import fake_registry
 from roboneuron.config import parse_config
+from roboneuron.direct_path.plugin import FEATURE as DIRECT_PATH
+from roboneuron.tools.arm.plugin import FEATURE as ARM
+from roboneuron.tools.arm.plugin import STOP_MOTION
+from roboneuron.tools.ros.plugin import FEATURE as ROS_TOOLS
 
 TWO = """
 [robots.left]

@@ -13,8 +13,8 @@ from typing import Any, cast
 import pytest
 from mcp import types
 
-from rn_standard.direct_path.feature import direct_path
 from rn_standard.fleet.fleet import Fleet
+from roboneuron.direct_path.feature import direct_path
 from roboneuron.estop import ESTOP_FILE
 from roboneuron.feature import ExposedEndpoint
 

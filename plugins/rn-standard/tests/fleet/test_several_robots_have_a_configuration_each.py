@@ -9,11 +9,11 @@ from argparse import Namespace
 import pytest
 
 from rn_standard.fleet.plugin import FEATURE
-from rn_standard.selection.plugin import FEATURE as SELECTION
 from rn_testing.fakes import fake_registry
 from roboneuron.config import Config, parse_config
 from roboneuron.errors import ConfigurationError
 from roboneuron.plugins.specs import FeatureSpec
+from roboneuron.selection.plugin import FEATURE as SELECTION
 
 HTTP = FeatureSpec(
     name="wire",

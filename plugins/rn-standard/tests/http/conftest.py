@@ -18,7 +18,6 @@ from rn_testing.domain import free_ros_domain
 from rn_testing.fakes.site import PluginSite
 from roboneuron.server.app import Application
 
-sys.path.append(str(Path(__file__).parent))  # for wire_server
 MODULES = """
 [robot]
 name = "gantry"

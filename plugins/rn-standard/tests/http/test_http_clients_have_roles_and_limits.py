@@ -226,6 +226,7 @@ def test_clients_share_one_robot_that_ends_with_the_server(
     wait_until(lambda: is_gone(pid), 5.0, "the module is gone")
 
 
+@pytest.mark.exhaustive
 def test_too_many_calls_at_once_are_refused_but_stops_are_not(
     serve_command: ServeCommand, server_environment: dict[str, str], tmp_path: Path
 ) -> None:

@@ -131,6 +131,7 @@ anyio.run(main)
 """  # noqa: E501
 
 
+@pytest.mark.sampled(every=2)
 @pytest.mark.parametrize("mode", ["auto", "legacy"])
 def test_a_client_process_that_is_killed_stops_the_robot(url: str, wheels: Any, mode: str) -> None:
     client = subprocess.Popen([sys.executable, "-c", CLIENT, url, mode], env=dict(os.environ))

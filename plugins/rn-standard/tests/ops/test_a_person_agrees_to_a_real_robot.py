@@ -12,12 +12,12 @@ import pytest
 from mcp import Client, types
 
 from rn_standard.ops.plugin import CLIENTS, REAL_ROBOT
-from rn_standard.selection.plugin import FEATURE as SELECTION
 from rn_standard.tasks.plugin import FEATURE as TASKS
 from rn_testing.fakes import fake_registry
 from roboneuron import DriverSpec, RobotSpec
 from roboneuron.config import parse_config
 from roboneuron.errors import NotReadyError
+from roboneuron.selection.plugin import FEATURE as SELECTION
 from roboneuron.server.app import Application
 
 MODES = ("auto", "legacy")

@@ -17,10 +17,12 @@ import pytest
 from rn_standard.doctor import checks
 from rn_standard.doctor.finding import Finding, Severity, ok
 from rn_standard.doctor.images import ImageTransport
+from rn_standard.ops.maintenance import MaintenanceFile
 from rn_testing.domain import free_ros_domain
 from roboneuron.config import Config, parse_config
 from roboneuron.errors import ConfigurationError, NotReadyError
 from roboneuron.estop import ESTOP_FILE, EmergencyStopLatch
+from roboneuron.gate import AuditLog
 from roboneuron.plugins.registry import Status
 
 MIB = 1 << 20
@@ -109,6 +111,14 @@ def test_a_latched_emergency_stop_is_told_with_its_cause(tmp_path: Path) -> None
     finding = find("emergency-stop", config_in(tmp_path))
     assert finding.verdict is Severity.WARNING
     assert 'the test: "a finger"' in finding.text
+
+
+def test_a_robot_out_of_service_is_told_before_its_stop(tmp_path: Path) -> None:
+    EmergencyStopLatch(tmp_path / ESTOP_FILE, time.time_ns).latch(who="the test", reason="a finger")
+    MaintenanceFile(tmp_path).begin("ann", "admin", "oiling", AuditLog.in_directory(tmp_path))
+    finding = find("emergency-stop", config_in(tmp_path))
+    assert "ann took the robot out of service" in finding.text
+    assert "--end" in finding.hint
 
 
 def test_what_a_driver_runs_on_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -272,6 +282,7 @@ def test_the_command_survives_what_it_is_for(
     assert done.stdout.isascii() == (variable == "PYTHONIOENCODING")
 
 
+@pytest.mark.exhaustive
 @pytest.mark.ros
 def test_the_command_looks_at_the_real_machine(tmp_path: Path) -> None:
     config = tmp_path / "roboneuron.toml"

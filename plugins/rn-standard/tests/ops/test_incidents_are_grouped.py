@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
+
+import pytest
 
 from rn_standard.ops.incidents import FaultSpans, Incidents
 from rn_standard.ops.records import incident_kinds
@@ -44,7 +47,42 @@ def test_what_is_so_now_comes_first_with_the_longest_time() -> None:
     assert (first.what, first.now, first.longest_s) == ("stalled", True, 4.0)
 
 
+@pytest.mark.parametrize(
+    ("what", "lasts_s", "is_over", "severity"),
+    [
+        ("silent", 0.3, True, "low"),
+        ("stuck", 0.3, True, "low"),
+        ("silent", 1.5, True, "high"),
+        ("silent", 0.3, False, "high"),
+        ("exited", 0.3, True, "high"),
+        ("failing", 0.3, True, "medium"),
+    ],
+)
+def test_a_hiccup_that_is_over_was_only_late(
+    what: str, lasts_s: float, is_over: bool, severity: str
+) -> None:
+    clock = Clock()
+    spans = FaultSpans(clock)
+    spans.change("control", "ok", what)
+    clock.now_s += lasts_s
+    if is_over:
+        spans.change("control", what, "ok")
+    (kind,) = incident_kinds([{"module": "control", "what": what, "at": "a"}], spans)
+    assert kind.severity == severity
+
+
 def test_a_record_names_its_robot(tmp_path: Path) -> None:
     Incidents(tmp_path, robot=lambda: "real robot one").record("robot", "exited", {})
     (record,) = Incidents(tmp_path).listing(5)
     assert record["robot"] == "real robot one"
+
+
+def test_a_fault_that_repeats_is_one_record_until_that_is_removed(tmp_path: Path) -> None:
+    incidents = Incidents(tmp_path / "records", monotonic=Clock())
+    first = incidents.record("robot", "exited", {})
+    assert first is not None
+    assert incidents.record("robot", "exited", {}) is None
+    shutil.rmtree(first.parent)
+    second = incidents.record("robot", "exited", {})
+    assert second is not None
+    assert second.exists()

@@ -81,6 +81,7 @@ def test_perception_is_restarted_a_few_times_and_the_robot_is_not(
     assert not any(text.startswith("robot") for text in told)
 
 
+@pytest.mark.exhaustive
 def test_a_module_is_restarted_only_when_the_configuration_says_so(
     supervisor: Supervisor, config: Config, make_restarts: Make
 ) -> None:

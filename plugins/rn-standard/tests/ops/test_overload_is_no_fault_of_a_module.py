@@ -10,9 +10,8 @@ from typing import Any
 import pytest
 
 from rn_standard.ops import restarts
-from rn_standard.ops.load import runnable_per_core
 from rn_standard.ops.options import OpsOptions
-from rn_standard.ops.restarts import Restarts
+from rn_standard.ops.restarts import Restarts, runnable_per_core
 from rn_testing.fakes import fake_plan
 from roboneuron.config import parse_config
 from roboneuron.errors import NotReadyError
@@ -143,7 +142,7 @@ def test_a_frozen_module_has_more_time_on_an_overloaded_machine(
 def test_the_load_is_what_runs_and_waits_now(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("rn_standard.ops.load.cores", lambda: 2)
+    monkeypatch.setattr("rn_standard.ops.restarts.cores", lambda: 2)
     file = tmp_path / "loadavg"
     file.write_text("0.10 0.20 0.30 9/512 4711\n")
     assert runnable_per_core(file) == 4.0

@@ -8,17 +8,17 @@ import json
 import logging
 import os
 import signal
-import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import anyio
 import pytest
-from mcp import Client, StdioServerParameters
+from mcp import Client
 
+from rn_standard.ops.feature import SafetyFaults
 from rn_standard.ops.plugin import FEATURE
-from rn_standard.ops.safety_faults import SafetyFaults
+from rn_testing.agent import Agent, client_of
 from rn_testing.waiting import wait_until
 from roboneuron.feature import ModuleView, Report
 from roboneuron.server.app import Application
@@ -197,22 +197,8 @@ def test_faults_are_recorded_and_perception_is_restarted(
     path.write_text(f"{config_text}[ops]\nrestart_backoff_s = 0.2\n")
 
     async def scenario() -> None:
-        command = [
-            "-m",
-            "roboneuron.cli.main",
-            "serve",
-            "--config",
-            str(path),
-            "--log-level",
-            "warning",
-        ]
-        server = StdioServerParameters(command=sys.executable, args=command, env=server_environment)
-        async with Client(server) as client:
-
-            async def do(name: str, **arguments: Any) -> dict[str, Any]:
-                answer = await client.call_tool(name, arguments)
-                assert not answer.is_error, answer.content
-                return dict(answer.structured_content or {})
+        async with client_of(path, server_environment, "--log-level", "warning") as client:
+            do = Agent(client).do
 
             async def module(kind: str) -> dict[str, Any]:
                 return next(m for m in (await do("get_status"))["modules"] if m["module"] == kind)

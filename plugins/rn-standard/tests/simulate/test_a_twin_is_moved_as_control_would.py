@@ -7,7 +7,6 @@ import time
 import numpy as np
 import pytest
 
-from rn_standard.direct_path.path_limits import Leg
 from rn_standard.simulate.arm import TooLongError, TwinArm
 from rn_standard.simulate.results import Survey, outside_m
 from roboneuron.config import LimitsConfig
@@ -23,6 +22,7 @@ from roboneuron.contract import (
     RobotProfile,
 )
 from roboneuron.gate.motion import MotionLimiter, motion_rules
+from roboneuron.gate.motion.path_limits import Leg
 
 PROFILE = RobotProfile(name="gantry", arm_joints=("x", "y"))
 PANE = {"name": "pane", "lower_m": [0.095, -1.0, 0.0], "upper_m": [0.105, 1.0, 1.0]}

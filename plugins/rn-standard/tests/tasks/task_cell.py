@@ -75,5 +75,5 @@ class FakeCell:
             self.ended_s = self.time_s
         self.moving = False
 
-    def evidence(self) -> tuple[Picture, ...]:
+    def evidence(self, when: str) -> tuple[Picture, ...]:
         return (PICTURE,)

@@ -7,9 +7,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rn_standard.sight.rays import rays_of
 from rn_standard.tasks.detectors import _is_held
 from roboneuron import ArmState, CameraCalibration, Frame, Observation, Pose
+from roboneuron.sight.rays import rays_of
 
 INTRINSICS = np.array([[40.0, 0.0, 20.0], [0.0, 40.0, 20.0], [0.0, 0.0, 1.0]])
 

@@ -16,12 +16,12 @@ from mcp import types
 from mcp.shared.memory import create_client_server_memory_streams
 from mcp.shared.message import SessionMessage
 
-from rn_standard.selection.plugin import FEATURE as SELECTION
 from rn_standard.tasks.plugin import FEATURE
 from rn_standard.tasks.task_calls import RELATED, TaskCalls
 from rn_testing.fakes import fake_registry
 from roboneuron.config import parse_config
 from roboneuron.errors import RefusedError
+from roboneuron.selection.plugin import FEATURE as SELECTION
 from roboneuron.server.app import Application
 from roboneuron.server.registry import ToolRegistry
 from roboneuron.server.surface import Served, make_server

@@ -18,9 +18,7 @@ from mcp import Client, types
 from mcp.shared.exceptions import MCPError
 from pydantic import BaseModel, Field
 
-from rn_standard.direct_path.plugin import FEATURE as DIRECT_PATH
 from rn_standard.ops.plugin import CLIENTS
-from rn_standard.selection.plugin import FEATURE as SELECTION
 from rn_standard.tasks.events import Crossing, check_thresholds
 from rn_standard.tasks.hooks import MonitorSpec
 from rn_standard.tasks.options import EventOptions
@@ -29,8 +27,10 @@ from rn_standard.tasks.predicates import parse_predicate
 from rn_standard.tasks.prompts import PROMPTS, filled
 from rn_testing.fakes import fake_registry
 from roboneuron.config import parse_config
+from roboneuron.direct_path.plugin import FEATURE as DIRECT_PATH
 from roboneuron.errors import InvalidInputError, RoboNeuronError
 from roboneuron.plugins.specs import PLUGIN_KINDS
+from roboneuron.selection.plugin import FEATURE as SELECTION
 from roboneuron.server.app import Application
 
 CONFIG = """
@@ -216,7 +216,7 @@ def test_prompts_are_listed_and_filled(application: Application) -> None:
 
     listed, text = anyio.run(ask)
     assert listed == set(PROMPTS)
-    assert '"options": {"colour": "blue"}' in text
+    assert '"pick up the blue cube"' in text
 
 
 @pytest.mark.parametrize(

@@ -2,25 +2,37 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
 import anyio
+import numpy as np
 import pytest
 from mcp import Client, types
 
-from rn_standard.direct_path.plugin import FEATURE as DIRECT_PATH
-from rn_standard.selection.plugin import FEATURE as SELECTION
 from rn_standard.tasks.history import TaskHistory
 from rn_standard.tasks.plugin import FEATURE
-from rn_standard.tools_arm.plugin import FEATURE as ARM
-from rn_standard.tools_arm.plugin import STOP_MOTION
 from rn_testing.fakes import fake_registry
-from roboneuron import Arguments, CallContext, RefusedError, Result, Tool
+from roboneuron import (
+    Arguments,
+    CallContext,
+    Feature,
+    RefusedError,
+    Result,
+    StateError,
+    Tool,
+)
 from roboneuron.config import parse_config
+from roboneuron.direct_path.plugin import FEATURE as DIRECT_PATH
+from roboneuron.selection.plugin import FEATURE as SELECTION
 from roboneuron.server.app import Application
+from roboneuron.tools.arm.landing import MissedError
+from roboneuron.tools.arm.plugin import FEATURE as ARM
+from roboneuron.tools.arm.plugin import STOP_MOTION
 
 
 class Turn(Arguments):
@@ -32,6 +44,8 @@ class Turn(Arguments):
 async def turned(arguments: Turn, context: CallContext) -> Result:
     if arguments.angle_rad > 3:
         raise RefusedError("Too far.", rule="a test")
+    if arguments.angle_rad < 0:
+        raise MissedError("red cube", np.zeros(3), np.array([0.1, 0.2, 0.3]))
     return Result()
 
 
@@ -98,6 +112,42 @@ def test_a_refused_motion_is_told_with_its_reason(
     assert (entry["outcome"], entry["reason"]) == ("refused", "Too far.")
 
 
+class Meter(Feature[None]):
+    """A feature that has measured speeds, by quarters of a second."""
+
+    def __init__(self) -> None:
+        super().__init__(None)
+        self.speeds: list[tuple[float, float]] = []
+
+    def fastest_m_s(self, since_s: float) -> float | None:
+        return max((speed for at_s, speed in self.speeds if at_s > since_s - 0.25), default=None)
+
+
+@pytest.mark.parametrize("moves", ["before", "after"])
+def test_a_refused_call_carries_no_speed_of_other_motions(
+    application: Application, call: Callable[..., types.CallToolResult], moves: str
+) -> None:
+    meter = Meter()
+    application.host.features.loaded["meter"] = meter
+    if moves == "before":
+        meter.speeds.append((time.monotonic() - 0.1, 0.2))
+    call("turn", angle_rad=4.0)
+    if moves == "after":
+        meter.speeds.append((time.monotonic(), 0.2))
+    call("lift")
+    (refused,) = (one for one in journal(call)["entries"] if one["tool"] == "turn")
+    assert "max_tcp_speed_m_s" not in refused
+
+
+def test_a_miss_is_an_outcome_of_its_own_with_the_place(
+    call: Callable[..., types.CallToolResult],
+) -> None:
+    assert call("turn", angle_rad=-1.0).is_error
+    (entry,) = journal(call)["entries"]
+    assert entry["outcome"] == "missed"
+    assert "[0.1, 0.2, 0.3]" in entry["reason"]
+
+
 def test_what_moves_nothing_is_not_told(call: Callable[..., types.CallToolResult]) -> None:
     call("look_at")
     call("turn", simulate=True)
@@ -145,3 +195,26 @@ def test_other_robots_are_told_if_asked_for(
         assert (call(tool).structured_content or {})[key] == []
         (one,) = (call(tool, all_robots=True).structured_content or {})[key]
         assert one["robot"] == "real robot other"
+
+
+def test_a_motion_that_a_stop_has_ended_is_told_as_stopped(
+    application: Application, call: Callable[..., types.CallToolResult]
+) -> None:
+    async def both() -> None:
+        begun, stopping = anyio.Event(), anyio.Event()
+
+        async def swing(_: Turn, context: CallContext) -> Result:
+            begun.set()
+            await stopping.wait()
+            raise StateError("It was stopped.")
+
+        application.tools.add_all([replace(motion("swing"), handler=swing)])
+        async with Client(application.server) as client, anyio.create_task_group() as group:
+            group.start_soon(client.call_tool, "swing", {})
+            await begun.wait()
+            await client.call_tool("stop_motion", {})
+            stopping.set()
+
+    anyio.run(both)
+    told = {entry["tool"]: entry["outcome"] for entry in journal(call)["entries"]}
+    assert told == {"swing": "stopped", "stop_motion": "done"}

@@ -12,10 +12,10 @@ from typing import Any, cast
 
 import pytest
 
-from rn_standard.selection.requests import StartChosenInference
 from rn_standard.tasks.starting import ParallelStart, requests_for
 from roboneuron.errors import InvalidInputError, NotReadyError, StateError
 from roboneuron.modules.settings import MODULE_KINDS
+from roboneuron.selection.requests import StartChosenInference
 from roboneuron.server.loop import ClosedLoop
 
 BOUND_S = 10.0

@@ -119,6 +119,7 @@ class Robot:
                     self.arbiter.admit(SET_INSTRUCTION, None)  # type: ignore[arg-type]
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("count", SEQUENCES)
 def test_no_sequence_leaves_a_task_or_a_moving_arm(count: int) -> None:
     seen: set[Outcome | str] = set()

@@ -12,14 +12,14 @@ import anyio
 import pytest
 from mcp import Client
 
-from rn_standard.direct_path.plugin import FEATURE as DIRECT_PATH
 from rn_standard.ops.plugin import CLIENTS
-from rn_standard.selection.plugin import FEATURE as SELECTION
 from rn_standard.tasks import history as history_module
 from rn_standard.tasks.history import TASKS_URI, TaskHistory
 from rn_standard.tasks.plugin import FEATURE
 from rn_testing.fakes import fake_registry
 from roboneuron.config import parse_config
+from roboneuron.direct_path.plugin import FEATURE as DIRECT_PATH
+from roboneuron.selection.plugin import FEATURE as SELECTION
 from roboneuron.server.app import Application
 
 

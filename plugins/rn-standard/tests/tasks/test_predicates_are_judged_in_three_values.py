@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from std_msgs.msg import Float64, Float64MultiArray, String
 
-from rn_standard.tasks.examples import EXAMPLES
+from rn_standard.tasks.feature import EXAMPLES
 from rn_standard.tasks.judging import PredicateJudge
 from rn_standard.tasks.monitor import Monitor, Score
 from rn_standard.tasks.predicates import MonitorSays, parse_predicate

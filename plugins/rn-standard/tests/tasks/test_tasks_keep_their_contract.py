@@ -2,12 +2,12 @@
 
 import pytest
 
-from rn_standard.selection.plugin import FEATURE as SELECTION
 from rn_standard.tasks.contract_cases import CASES, MonitorCase
 from rn_standard.tasks.hooks import MonitorSpec
 from rn_standard.tasks.plugin import FEATURE
-from rn_testing import FeatureCase, FeatureContract, PackageCase, PackageContract
+from rn_testing import FeatureCase, FeatureContract
 from rn_testing.contracts import contract_of
+from roboneuron.selection.plugin import FEATURE as SELECTION
 
 
 class TestTasks(FeatureContract):
@@ -18,12 +18,6 @@ class TestTasks(FeatureContract):
             needs=(SELECTION,),
             options={"postures": {"rest": {"joints": {"joint1": 0.1}}}, "tasks": {"max_s": 30.0}},
         )
-
-
-class TestPackage(PackageContract):
-    @pytest.fixture
-    def plugin(self) -> PackageCase:
-        return PackageCase(distribution="rn-standard", plugin="rn-tasks")
 
 
 class TestMonitors(contract_of(MonitorSpec)):

@@ -11,20 +11,26 @@ import anyio
 import numpy as np
 import pytest
 
-from rn_standard.sight.cell_view import CellView
-from rn_standard.sight.locator import LocatedObject
-from rn_standard.sight.marks import CellLook
 from rn_standard.tasks import moving
 from rn_standard.tasks.moving import Mover, MoveToArguments, Places, check_places
-from rn_standard.tasks.options import PlaceOptions, PostureOptions, TasksSections
-from roboneuron import matrix_from_quaternion, matrix_from_rotvec, rotvec_from_matrix
+from rn_standard.tasks.options import (
+    GestureOptions,
+    PlaceOptions,
+    PostureOptions,
+    TasksSections,
+)
+from roboneuron import LocatedObject, matrix_from_quaternion, matrix_from_rotvec, rotvec_from_matrix
 from roboneuron.errors import InvalidInputError, NotReadyError, RefusedError, StateError
+from roboneuron.sight.cell_view import CellView
+from roboneuron.sight.marks import CellLook
+from roboneuron.tools.arm.options import ArmToolsOptions
 
 SHELF = PlaceOptions(
     position_m=(0.5, -0.8, 0.4), quaternion_xyzw=(1.0, 0.0, 0.0, 0.0), gripper_open=1.0
 )
 OPTIONS = TasksSections(
     postures={"retract": PostureOptions(joints={"a": 0.5}, summary="out of the way")},
+    gestures={"nod": GestureOptions(steps=({"b": 0.3}, {"b": -0.3}), times=2, summary="nods")},
     places={
         "shelf": SHELF,
         "above": PlaceOptions(position_m=(0.5, 0.0, 0.7)),
@@ -78,7 +84,8 @@ class Arm:
 
     @property
     def loaded(self) -> dict[str, Any]:
-        return {} if self.looker is None else {"sight": self.looker}
+        arm = {"tools-arm": SimpleNamespace(options=ArmToolsOptions())}
+        return arm if self.looker is None else {**arm, "sight": self.looker}
 
     def _mover(self) -> tuple[Mover, Any]:
         async def run(work: Any) -> Any:
@@ -132,12 +139,19 @@ class FakeLooker:
     def last_look(self, who: str) -> CellLook | None:
         return self._last
 
+    def forget(self, one: LocatedObject) -> None:
+        raise AssertionError("nothing is moved here")
+
 
 @pytest.fixture
 def arm(monkeypatch: pytest.MonkeyPatch) -> Arm:
     each = [SimpleNamespace(name=name, gripper="finger") for name in ("", "left", "right")]
     profile = SimpleNamespace(
-        home_rad=np.array([0.1, 0.2]), arm_joints=("a", "b"), arms=(), each_arm=each
+        home_rad=np.array([0.1, 0.2]),
+        arm_joints=("a", "b"),
+        arms=(),
+        each_arm=each,
+        gestures={"wave": ({"a": 1.0}, {"a": 0.0})},
     )
     monkeypatch.setattr(moving, "profile_of", lambda host: profile)
     return Arm()
@@ -149,6 +163,32 @@ def test_a_posture_is_one_motion_of_its_joints(arm: Arm) -> None:
     assert (moved.kind, moved.error, moved.took_s) == ("posture", 0.001, 0.5)
 
 
+@pytest.mark.parametrize(
+    ("name", "steps"),
+    [("nod", [{"b": 0.3}, {"b": -0.3}] * 2), ("wave", [{"a": 1.0}, {"a": 0.0}])],
+)
+def test_a_gesture_is_one_motion_after_the_other(
+    arm: Arm, name: str, steps: list[dict[str, float]]
+) -> None:
+    moved = arm.move_to(name)
+    assert arm.calls == [("move_joints", {"positions": step}) for step in steps]
+    assert (moved.kind, moved.took_s) == ("gesture", 0.5 * len(steps))
+
+
+def test_a_gesture_ends_with_the_stop_that_comes_in_its_middle(arm: Arm) -> None:
+    arm.is_stopped = True
+    with pytest.raises(StateError, match="stopped on its way to 'nod': a reflex"):
+        arm.move_to("nod")
+    assert len(arm.calls) == 1
+
+
+def test_a_gesture_that_is_refused_at_a_step_goes_no_further(arm: Arm) -> None:
+    arm.answer = {"allowed": False, "reason": "outside of the workspace"}
+    with pytest.raises(RefusedError):
+        arm.move_to("wave")
+    assert len(arm.calls) == 1
+
+
 def test_home_is_the_robots_own_unless_the_configuration_has_another(arm: Arm) -> None:
     arm.move_to("home")
     assert arm.calls == [("move_joints", {"positions": {"a": 0.1, "b": 0.2}})]
@@ -157,6 +197,8 @@ def test_home_is_the_robots_own_unless_the_configuration_has_another(arm: Arm) -
     assert Places(arm.host, OPTIONS).choices() == {
         "home": "the robot's own safe posture",
         "retract": "out of the way",
+        "wave": "",
+        "nod": "nods",
         "shelf": "",
         "above": "",
         "beside": "",
@@ -205,7 +247,7 @@ def test_what_does_not_come_about_is_an_error(arm: Arm) -> None:
 def test_an_unknown_name_is_refused_with_those_there_are(arm: Arm) -> None:
     with pytest.raises(InvalidInputError) as caught:
         arm.move_to("kitchen")
-    assert caught.value.hint == "There are: home, retract, shelf, above, beside."
+    assert caught.value.hint == "There are: home, retract, wave, nod, shelf, above, beside."
     assert arm.calls == []
 
 
@@ -215,6 +257,10 @@ def test_an_unknown_name_is_refused_with_those_there_are(arm: Arm) -> None:
         (
             TasksSections(postures={"a": OPTIONS.postures["retract"]}, places={"a": SHELF}),
             "a posture and a place",
+        ),
+        (
+            TasksSections(gestures={"a": OPTIONS.gestures["nod"]}, places={"a": SHELF}),
+            "a gesture and a place",
         ),
         (TasksSections(places={"hold": SHELF}), "'hold' cannot be a name"),
         (
@@ -244,7 +290,7 @@ def test_the_arm_that_a_place_names_goes_there(arm: Arm, monkeypatch: pytest.Mon
     with pytest.raises(InvalidInputError, match="'beside' names the arm 'right'"):
         arm.move_to("beside")
     arms = [SimpleNamespace(name=name, gripper="finger") for name in ("left", "right")]
-    pair = SimpleNamespace(home_rad=None, arms=arms, each_arm=arms)
+    pair = SimpleNamespace(home_rad=None, arms=arms, each_arm=arms, gestures={})
     monkeypatch.setattr(moving, "profile_of", lambda host: pair)
     arm.move_to("beside")
     assert arm.asked == {"right"}

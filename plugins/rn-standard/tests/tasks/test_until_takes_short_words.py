@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 
 from rn_standard.tasks.predicates import flat, parse_predicate
-from rn_standard.tasks.run_task import RunTask, predicate_of
 from rn_standard.tasks.short_words import expanded
-from roboneuron import InvalidInputError
+from rn_standard.tasks.task_judge import predicate_of
+from roboneuron import PICK_AND_PLACE, InvalidInputError
 
 PICK, PUT = "pick up the red cube", "put the red cube on the blue one"
 
@@ -70,12 +70,22 @@ def test_other_words_are_refused_with_what_is_possible(words: str, instruction: 
     ],
 )
 def test_the_verb_of_an_instruction_is_judged_by_itself(instruction: str, judged: set[str]) -> None:
-    predicate = predicate_of(RunTask(instruction=instruction))
+    predicate = predicate_of(instruction, None, PICK_AND_PLACE)
     assert (set() if predicate is None else {part.kind for part in flat(predicate)}) == judged
 
 
+@pytest.mark.parametrize("instruction", [PICK, PUT])
+def test_a_policy_that_declares_no_verbs_needs_a_predicate(instruction: str) -> None:
+    assert predicate_of(instruction, None, ()) is None
+
+
+def test_only_the_verbs_that_a_policy_declares_are_judged() -> None:
+    (pick, _) = PICK_AND_PLACE
+    assert predicate_of(PICK, None, [pick]) is not None
+    assert predicate_of(PUT, None, [pick]) is None
+
+
 def test_what_the_call_names_comes_first() -> None:
-    asked = RunTask(instruction=PICK, until={"kind": "policy_done"})
-    predicate = predicate_of(asked)
+    predicate = predicate_of(PICK, {"kind": "policy_done"}, PICK_AND_PLACE)
     assert predicate is not None
     assert predicate.kind == "policy_done"

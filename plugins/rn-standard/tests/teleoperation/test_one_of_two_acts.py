@@ -209,6 +209,8 @@ def test_joints_that_a_lead_does_not_name_stand_still() -> None:
     moved = replace(asked, kind="joint_position", values=np.array([0.4]), gripper_open=0.5)
     positions = space_row(robot_space("joint_position", profile), moved, joints)
     assert positions == pytest.approx([0.4, *[0.3] * (len(profile.arm_joints) - 1), 0.5])
+    silent = replace(moved, gripper_open=None)
+    assert space_row(robot_space("joint_position", profile), silent, joints)[-1] == 0.0
     wrong = LeadRow(
         session="a",
         number=1,

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import AsyncIterator, Mapping
-from contextlib import asynccontextmanager
+from collections.abc import AsyncIterator, Iterator, Mapping
+from contextlib import asynccontextmanager, contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
+from anyio.from_thread import BlockingPortal, start_blocking_portal
 from mcp import Client, StdioServerParameters
+from mcp.client.stdio import stdio_client
 
 
 class Agent:
@@ -22,7 +24,7 @@ class Agent:
         self._client = client
         self.told: list[str] = []
 
-    async def call(self, tool: str, **arguments: object) -> tuple[bool, dict[str, Any], str]:
+    async def call(self, tool: str, /, **arguments: object) -> tuple[bool, dict[str, Any], str]:
         """Call a tool; return whether it succeeded, its structured answer, and its text."""
 
         async def note(progress: float, total: float | None, message: str | None) -> None:
@@ -32,13 +34,13 @@ class Agent:
         text = getattr(answer.content[0], "text", "") if answer.content else ""
         return not answer.is_error, dict(answer.structured_content or {}), text
 
-    async def do(self, tool: str, **arguments: object) -> dict[str, Any]:
+    async def do(self, tool: str, /, **arguments: object) -> dict[str, Any]:
         """Return the answer of a call that must succeed. Raises AssertionError."""
         succeeded, answer, text = await self.call(tool, **arguments)
         assert succeeded, (tool, arguments, text)
         return answer
 
-    async def fail(self, tool: str, **arguments: object) -> str:
+    async def fail(self, tool: str, /, **arguments: object) -> str:
         """Return the text of a call that must fail. Raises AssertionError."""
         succeeded, answer, text = await self.call(tool, **arguments)
         assert not succeeded, (tool, arguments, answer)
@@ -47,7 +49,11 @@ class Agent:
 
 @asynccontextmanager
 async def client_of(
-    config: Path, environment: Mapping[str, str], *options: str
+    config: Path,
+    environment: Mapping[str, str],
+    *options: str,
+    timeout_s: float | None = None,
+    errors: TextIO | None = None,
 ) -> AsyncIterator[Client]:
     """Start `roboneuron serve` with a configuration, and connect to it.
 
@@ -55,8 +61,28 @@ async def client_of(
         config: configuration file.
         environment: environment of the process.
         options: further command-line arguments.
+        timeout_s: how long a call may take; the client's own limit if None.
+        errors: file for its standard error; this process's own if None.
     """
     words = ["-m", "roboneuron.cli.main", "serve", "--config", str(config), *options]
     server = StdioServerParameters(command=sys.executable, args=words, env=dict(environment))
-    async with Client(server) as client:
+    transport = stdio_client(server, errlog=errors or sys.stderr)
+    async with Client(transport, read_timeout_seconds=timeout_s) as client:
         yield client
+
+
+@contextmanager
+def blocking_client(
+    config: Path,
+    environment: Mapping[str, str],
+    *options: str,
+    timeout_s: float = 180.0,
+    errors: TextIO | None = None,
+) -> Iterator[tuple[Client, BlockingPortal]]:
+    """As `client_of`, with the portal by which a thread without an event loop calls it."""
+    served = client_of(config, environment, *options, timeout_s=timeout_s, errors=errors)
+    with (
+        start_blocking_portal() as portal,
+        portal.wrap_async_context_manager(served) as client,
+    ):
+        yield client, portal

@@ -14,6 +14,20 @@ from roboneuron import FeatureSpec, PluginError, Spec
 from roboneuron.command import discover, loading
 
 
+def installed_needs(
+    spec: FeatureSpec, installed: Mapping[str, FeatureSpec]
+) -> tuple[FeatureSpec, ...]:
+    """The installed features that a feature needs, and those that these need."""
+    found: dict[str, FeatureSpec] = {}
+    waiting = [*spec.needs]
+    while waiting:
+        name = waiting.pop()
+        if name in installed and name not in found:
+            found[name] = installed[name]
+            waiting += installed[name].needs
+    return tuple(found.values())
+
+
 def make_case(spec: Spec, options: Mapping[str, object]) -> Case[Spec]:
     """Return the case of `spec`, with `options` overriding its own.
 
@@ -24,8 +38,7 @@ def make_case(spec: Spec, options: Mapping[str, object]) -> Case[Spec]:
     brought = None if spec.kind in CASES else kind_of(type(spec))
     expected = CASES.get(spec.kind, Case) if brought is None else brought.case
     if isinstance(spec, FeatureSpec) and spec.case is None:
-        installed = discover().specs(FeatureSpec)
-        needs = tuple(installed[name] for name in spec.needs if name in installed)
+        needs = installed_needs(spec, discover().specs(FeatureSpec))
         return FeatureCase(spec=spec, options=options, is_automatic=True, needs=needs)
     if spec.case is None:
         return expected(spec=spec, options=options, is_automatic=True)

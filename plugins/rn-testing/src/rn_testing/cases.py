@@ -9,6 +9,7 @@ from __future__ import annotations
 from rn_testing.case import Case
 from rn_testing.device_cases import ControllerCase, PerceptionCase, RobotCase
 from rn_testing.extension_cases import CommandCase, FeatureCase, PackageCase
+from rn_testing.locator_case import LocatorCase
 from rn_testing.model_cases import AccelerationCase, BackendCase, RuntimeCase
 from roboneuron import Spec
 
@@ -20,6 +21,7 @@ __all__ = [
     "CommandCase",
     "ControllerCase",
     "FeatureCase",
+    "LocatorCase",
     "PackageCase",
     "PerceptionCase",
     "RobotCase",
@@ -33,6 +35,7 @@ CASES: dict[str, type[Case[Spec]]] = {
     "perception": PerceptionCase,
     "controller": ControllerCase,
     "robot": RobotCase,
+    "locator": LocatorCase,
     "feature": FeatureCase,
     "command": CommandCase,
 }

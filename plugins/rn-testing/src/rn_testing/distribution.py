@@ -20,7 +20,6 @@ from types import ModuleType
 
 import roboneuron.command
 import roboneuron.feature
-import roboneuron.node
 from rn_testing.cases import PackageCase
 from rn_testing.rule import Violation
 
@@ -29,7 +28,6 @@ PROJECT = "roboneuron"
 LISTS: Mapping[str, ModuleType] = {
     "roboneuron.feature": roboneuron.feature,
     "roboneuron.command": roboneuron.command,
-    "roboneuron.node": roboneuron.node,
 }
 """Modules that list the names of the core that a kind of plugin may use in addition to
 `roboneuron`.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import fcntl
 import os
 import random
+import re
 import tempfile
 from collections import deque
 from pathlib import Path
@@ -24,7 +25,7 @@ _held: deque[int] = deque()
 
 def free_ros_domain() -> int:
     """Reserve a ROS domain among the processes that use this function; it is released when this
-    process ends.
+    process ends. None is taken in which a module still runs, as one that a killed test has left.
 
     Raises:
         RuntimeError: all domains are taken; the text names the lock files.
@@ -34,7 +35,10 @@ def free_ros_domain() -> int:
         return _held[-1]
     folder = Path(tempfile.gettempdir()) / f"roboneuron-domains-{os.getuid()}"
     folder.mkdir(mode=0o700, exist_ok=True)
+    in_use = _domains_in_use()
     for domain in random.SystemRandom().sample(DOMAINS, len(DOMAINS)):
+        if domain in in_use:
+            continue
         lock = os.open(folder / str(domain), os.O_RDWR | os.O_CREAT, 0o600)
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -50,3 +54,12 @@ def free_ros_domain() -> int:
         f"Every ROS domain of {DOMAINS} is held by another test process. See which process "
         f"locks {folder}/*."
     )
+
+
+def _domains_in_use() -> set[int]:
+    """Domains in which a process of this machine has claimed the name of a node, by Linux' table
+    of sockets. Source: proc(5), "/proc/net/unix"; the name is that of `roboneuron.ros.claim`.
+    """
+    table = Path("/proc/net/unix")
+    sockets = table.read_text() if table.exists() else ""
+    return {int(domain) for domain in re.findall(r"@roboneuron/(\d+)/", sockets)}

@@ -57,6 +57,8 @@ _EVENTS = {
     "_thread.start_new_thread": "starts the thread",
 }
 _IMPORT_SUFFIXES = (".py", ".pyc", ".so")
+_BYTECODE = "__pycache__"
+"""Folder in which the first import writes bytecode, under a temporary name."""
 _observed: ContextVar[list[str] | None] = ContextVar("observed_effects", default=None)
 _marks: ContextVar[Marks | None] = ContextVar("marks", default=None)
 
@@ -127,7 +129,7 @@ class Marks:
         if not isinstance(name, (str, bytes, os.PathLike)):
             return
         path = Path(os.fsdecode(name)).absolute()
-        if path.suffix.startswith(".pyc") or path.name == "__pycache__":
+        if _BYTECODE in path.parts:
             return
         temporary = Path(tempfile.gettempdir())
         is_deeper = self.folder != temporary and self.folder.is_relative_to(temporary)
@@ -165,6 +167,8 @@ def _audit(event: str, arguments: tuple[object, ...]) -> None:
         return
     subject = str(arguments[0]) if arguments else ""
     if event == "open" and (subject.isdigit() or subject.endswith(_IMPORT_SUFFIXES)):
+        return
+    if _BYTECODE in subject.split(os.sep):
         return
     effects.append(f"{_EVENTS[event]} {subject}".strip())
 
@@ -280,14 +284,23 @@ def check_quick(limit_s: float, action: Callable[[], object], what: str, *, trie
     """Raise Violation unless the quickest of some calls takes at most `limit_s`; a busy machine
     slows single calls, not all.
     """
-    quickest_s = float("inf")
-    for _ in range(tries):
+
+    def timed_s() -> float:
         begun_s = time.perf_counter()
         action()
-        quickest_s = min(quickest_s, time.perf_counter() - begun_s)
-        if quickest_s <= limit_s:
-            return
-    raise Violation(f"{what} takes {quickest_s:.3g} s, at most {limit_s:g} s are allowed")
+        return time.perf_counter() - begun_s
+
+    quickest_s = min_until(timed_s, limit_s, tries=tries)
+    if quickest_s > limit_s:
+        raise Violation(f"{what} takes {quickest_s:.3g} s, at most {limit_s:g} s are allowed")
+
+
+def min_until(measure_s: Callable[[], float], limit_s: float, *, tries: int = 3) -> float:
+    """Smallest result of `measure_s`, which is repeated until one is within the limit."""
+    quickest_s = float("inf")
+    while tries and quickest_s > limit_s:
+        quickest_s, tries = min(quickest_s, measure_s()), tries - 1
+    return quickest_s
 
 
 def check_memory(action: Callable[[], object], what: str, *, count: int = 20) -> None:

@@ -9,7 +9,7 @@ from typing import Generic, Protocol, TypeVar
 
 from rn_testing.attempts import attempt
 from rn_testing.cases import Case
-from rn_testing.deadline import bounded
+from rn_testing.deadline import CALL_LIMIT_S, bounded
 from rn_testing.effects import (
     check_memory,
     check_quick,
@@ -18,8 +18,10 @@ from rn_testing.effects import (
     expect_refusal,
     find_effects,
     running,
+    within,
 )
 from rn_testing.fakes import MemoryTopics
+from rn_testing.noise import check_quiet
 from rn_testing.options import OPTIONS_READ, check_options_read
 from rn_testing.process_state import find_changes
 from rn_testing.refusals import SECRET, check_error, check_missing_files, secret_options, secrets
@@ -189,6 +191,17 @@ class Lifecycle(Generic[CaseT, C]):
             ),
             rule("process-left-alone", ALONE, self._check_process),
             rule(
+                "quiet",
+                "It does not warn, log a warning or write to standard error with every call.",
+                self._check_quiet,
+            ),
+            rule(
+                "any-thread",
+                f"After `{begin}` in one thread its methods work in another, as the modules call "
+                "them.",
+                self._check_any_thread,
+            ),
+            rule(
                 "errors-readable",
                 "Its error messages are short and contain no secret from options or environment.",
                 self._check_errors,
@@ -288,6 +301,29 @@ class Lifecycle(Generic[CaseT, C]):
 
         changes = find_changes(run)
         require(not changes, f"it {'; '.join(changes)}")
+
+    def _check_quiet(self, case: CaseT) -> None:
+        with self.running(case) as subject:
+            for name, one in self.uses.items():
+                check_quiet(lambda one=one: one(case, subject), name)  # type: ignore[misc]
+
+    def _check_any_thread(self, case: CaseT) -> None:
+        limit_s = max((CALL_LIMIT_S, *case.limits_s.values()))
+        with self.running(case) as subject:
+            for name, one in self.uses.items():
+                try:
+                    one(case, subject)
+                except (NotApplicable, RoboNeuronError):  # judged by other rules
+                    continue
+                try:
+                    within(limit_s, lambda one=one: one(case, subject), name)  # type: ignore[misc]
+                except self.ends:
+                    continue
+                except Violation:
+                    raise
+                except Exception as error:
+                    told = f"{name} raised {type(error).__name__}: {error}"
+                    raise Violation(f"in another thread than {self.begin}() {told}") from error
 
     def _check_missing_files(self, case: CaseT) -> None:
         def use(changed: Case[Spec]) -> None:

@@ -14,7 +14,6 @@ from roboneuron import ConfigurationError
 from roboneuron.command import PLUGIN_KINDS, descriptor
 
 BROUGHT = {
-    "locator": "rn-standard",
     "monitor": "rn-standard",
     "suite": "rn-eval",
     "teleoperator": "rn-standard",

@@ -69,7 +69,7 @@ class PluginsCheck:
         )
         add_option(parser, "all that is checked")
         parser.add_argument(
-            "--timeout-s",
+            "--max-s",
             type=float,
             default=120.0,
             metavar="SECONDS",
@@ -84,7 +84,7 @@ class PluginsCheck:
             arguments.name,
             kind=arguments.kind,
             options=arguments.option,
-            timeout_s=arguments.timeout_s,
+            timeout_s=arguments.max_s,
             as_json=arguments.json,
         )
 

@@ -1,5 +1,4 @@
-"""State of the whole process, which no plugin may change: folder, environment, signals, random
-generators.
+"""State of the whole process, which no plugin may change: its settings, random generators, output.
 
 A difference after a plugin was built, started, used and closed is tested a second time, because
 what libraries do once per process, at import, does not recur.
@@ -7,179 +6,24 @@ what libraries do once per process, at import, does not recur.
 
 from __future__ import annotations
 
-import atexit
-import gc
-import locale
-import logging
 import os
 import random
 import signal
-import socket
 import sys
 import tempfile
-import threading
-import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path
-from types import FrameType, ModuleType
-from typing import Any, Generic, TextIO, TypeVar
 
 import numpy as np
 
 from rn_testing.effects import Marks, watch_marks
+from rn_testing.process_settings import LIBRARY_VARIABLES, SETTINGS, loaded_torch
 
-LIBRARY_VARIABLES = (
-    "OPENCV_",
-    "OMP_",
-    "MKL_",
-    "KMP_",
-    "OPENBLAS_",
-    "CUDA_",
-    "MUJOCO_",
-    "PYOPENGL_",
-    "TOKENIZERS_",
-)
-"""Prefixes of environment variables of native libraries that cannot be configured otherwise."""
 _SEEDS = (20_011, 40_013)
 """Seeds of the global generators in the two trials: a plugin that only draws ends in different
 states.
 """
-
-
-T = TypeVar("T")
-Handlers = dict[signal.Signals, "Callable[[int, FrameType | None], object] | int | None"]
-Hooks = tuple["Callable[..., object]", "Callable[..., object]"]
-
-
-@dataclass(frozen=True, slots=True)
-class _Aspect(Generic[T]):
-    """One part of the state: its name, and functions to read and restore it.
-
-    Attributes:
-        unusual: values that no plugin sets, one of which stands before a trial: a plugin that was
-            built before has set its own already, and would change nothing.
-    """
-
-    name: str
-    read: Callable[[], T]
-    restore: Callable[[T], object]
-    unusual: tuple[T, ...] = ()
-
-
-def _environment() -> dict[str, str]:
-    return {
-        name: text
-        for name, text in os.environ.items()
-        if not name.startswith((*LIBRARY_VARIABLES, "PYTEST_"))
-    }
-
-
-def _restore_environment(before: dict[str, str]) -> None:
-    for name in _environment().keys() - before.keys():
-        del os.environ[name]
-    os.environ.update(before)
-
-
-def _umask() -> int:
-    status = Path("/proc/self/status")
-    lines = status.read_text().splitlines() if status.is_file() else []
-    return next((int(line.split()[1], 8) for line in lines if line.startswith("Umask:")), 0)
-
-
-def _logging() -> tuple[tuple[logging.Handler, ...], int, int]:
-    root = logging.getLogger()
-    return tuple(root.handlers), root.level, logging.root.manager.disable
-
-
-def _restore_logging(before: tuple[tuple[logging.Handler, ...], int, int]) -> None:
-    root = logging.getLogger()
-    root.handlers[:], root.level, logging.root.manager.disable = before
-
-
-def _torch() -> ModuleType | None:
-    return sys.modules.get("torch")  # only if a plugin has loaded it
-
-
-def _torch_defaults() -> tuple[object, ...]:
-    torch = _torch()
-    return () if torch is None else (torch.get_default_dtype(), torch.is_grad_enabled())
-
-
-def _restore_torch_defaults(before: tuple[object, ...]) -> None:
-    torch = _torch()
-    if before and torch is not None:
-        torch.set_default_dtype(before[0])
-        torch.set_grad_enabled(before[1])
-
-
-def _restore_handlers(before: Handlers) -> None:
-    with suppress(ValueError):  # rules run in a thread, where no handler can have been set
-        for number, handler in before.items():
-            if signal.getsignal(number) is not handler:
-                signal.signal(number, handler)
-
-
-def _restore_path(before: tuple[str, ...]) -> None:
-    sys.path[:] = before
-
-
-def _restore_filters(before: tuple[object, ...]) -> None:
-    warnings.filters[:] = before  # type: ignore[index]
-    getattr(warnings, "_filters_mutated", int)()
-
-
-def _restore_streams(before: tuple[TextIO, TextIO]) -> None:
-    sys.stdout, sys.stderr = before
-
-
-def _is_closed(stream: TextIO | None) -> bool:
-    return stream is None or stream.closed
-
-
-def _restore_hooks(before: Hooks) -> None:
-    sys.excepthook, threading.excepthook = before
-
-
-_ASPECTS: tuple[_Aspect[Any], ...] = (
-    _Aspect("the working folder", os.getcwd, os.chdir),
-    _Aspect("the environment", _environment, _restore_environment),
-    _Aspect(
-        "signal handlers",
-        lambda: {n: signal.getsignal(n) for n in signal.valid_signals()},
-        _restore_handlers,
-    ),
-    _Aspect("the umask", _umask, os.umask, (0o027, 0o037)),
-    _Aspect(
-        "the locale",
-        lambda: locale.setlocale(locale.LC_ALL),
-        lambda v: locale.setlocale(locale.LC_ALL, v),
-    ),
-    _Aspect(
-        "the default time-out of sockets",
-        socket.getdefaulttimeout,
-        socket.setdefaulttimeout,
-        (977.0, 983.0),
-    ),
-    _Aspect("sys.path", lambda: tuple(sys.path), _restore_path),
-    _Aspect("hooks for exceptions", lambda: (sys.excepthook, threading.excepthook), _restore_hooks),
-    _Aspect("the recursion limit", sys.getrecursionlimit, sys.setrecursionlimit, (2003, 2011)),
-    _Aspect("the root logger", _logging, _restore_logging),
-    _Aspect("the filters of warnings", lambda: tuple(warnings.filters), _restore_filters),
-    _Aspect("NumPy's handling of errors", np.geterr, lambda v: np.seterr(**v)),
-    _Aspect("NumPy's print options", np.get_printoptions, lambda v: np.set_printoptions(**v)),
-    _Aspect(
-        "garbage collection",
-        gc.isenabled,
-        lambda on: gc.enable() if on else gc.disable(),
-        (True, True),
-    ),
-    _Aspect("exit handlers", lambda: getattr(atexit, "_ncallbacks", int)(), lambda v: None),
-    _Aspect("standard streams", lambda: (sys.stdout, sys.stderr), _restore_streams),
-    _Aspect("standard input", lambda: (sys.stdin, _is_closed(sys.stdin)), lambda before: None),
-    _Aspect("PyTorch's defaults", _torch_defaults, _restore_torch_defaults),
-)
 
 
 def _generators() -> dict[str, Callable[[], bytes]]:
@@ -190,7 +34,7 @@ def _generators() -> dict[str, Callable[[], bytes]]:
             repr(np.random.get_state(legacy=False)).encode() + np.random.get_state()[1].tobytes()  # type: ignore[index]
         ),
     }
-    torch = _torch()
+    torch = loaded_torch()
     if torch is not None:
         found["torch"] = lambda: str(torch.initial_seed()).encode()  # drawing does not change it
     return found
@@ -199,7 +43,7 @@ def _generators() -> dict[str, Callable[[], bytes]]:
 @contextmanager
 def _seeded(seed: int) -> Iterator[None]:
     """Seed the global generators, and restore them at the end."""
-    torch = _torch()
+    torch = loaded_torch()
     python, numpy = random.getstate(), np.random.get_state()
     pytorch = None if torch is None else torch.get_rng_state()
     random.seed(seed)
@@ -216,21 +60,31 @@ def _seeded(seed: int) -> Iterator[None]:
 
 
 @contextmanager
-def _watched_handlers(asked: list[str]) -> Iterator[None]:
-    """Record in `asked` the signals for which a handler is set; in the rules' thread Python would
-    refuse it.
+def _watched_signals(asked: list[str]) -> Iterator[None]:
+    """Append to `asked` a sentence part for each signal for which a handler or a timer is set; in
+    the rules' thread Python would refuse the handler.
     """
-    real = signal.signal
 
-    def note(number: int, handler: object) -> object:
-        asked.append(signal.Signals(number).name)
+    def handle(number: int, handler: object) -> object:
+        asked.append(f"sets a handler for {signal.Signals(number).name}")
         return signal.getsignal(number)
 
-    signal.signal = note  # type: ignore[assignment]
+    def alarm(seconds: int) -> int:
+        asked.append("sets a timer that sends a signal")
+        return 0
+
+    def set_timer(which: int, seconds: float, interval: float = 0.0) -> tuple[float, float]:
+        return float(alarm(0)), 0.0
+
+    watched = {"signal": handle, "alarm": alarm, "setitimer": set_timer}
+    real = {name: getattr(signal, name) for name in watched}
+    for name, note in watched.items():
+        setattr(signal, name, note)
     try:
         yield
     finally:
-        signal.signal = real
+        for name, function in real.items():
+            setattr(signal, name, function)
 
 
 @contextmanager
@@ -271,30 +125,30 @@ class _Trial:
 def _try(action: Callable[[], object], trial: int) -> _Trial:
     asked: list[str] = []
     printed: list[str] = []
-    before = [aspect.read() for aspect in _ASPECTS]
+    before = [setting.read() for setting in SETTINGS]
     changes: list[str] = []
     try:
-        for aspect in _ASPECTS:
-            if aspect.unusual:
-                aspect.restore(aspect.unusual[trial])
+        for setting in SETTINGS:
+            if setting.unusual:
+                setting.restore(setting.unusual[trial])
         with _seeded(_SEEDS[trial]):
             begun = {name: read() for name, read in _generators().items()}
-            with watch_marks() as marks, _watched_handlers(asked), _watched_output(printed):
-                within = [aspect.read() for aspect in _ASPECTS]
+            with watch_marks() as marks, _watched_signals(asked), _watched_output(printed):
+                within = [setting.read() for setting in SETTINGS]
                 action()
-                after = [aspect.read() for aspect in _ASPECTS]
+                after = [setting.read() for setting in SETTINGS]
             ended = {name: read() for name, read in _generators().items() if name in begun}
     finally:
-        for aspect, old in zip(_ASPECTS, before, strict=True):
-            if aspect.read() != old:
-                aspect.restore(old)
+        for setting, old in zip(SETTINGS, before, strict=True):
+            if setting.read() != old:
+                setting.restore(old)
     changes += [
-        f"changes {aspect.name}{_difference(then, now)}"
-        for aspect, then, now in zip(_ASPECTS, within, after, strict=True)
+        f"changes {setting.name}{_difference(then, now)}"
+        for setting, then, now in zip(SETTINGS, within, after, strict=True)
         if now != then
     ]
     changes += _marked(marks, {change.partition(" (")[0] for change in changes})
-    changes += [f"sets a handler for {name}" for name in dict.fromkeys(asked)]
+    changes += dict.fromkeys(asked)
     changes += [f"writes to standard output ({text[:60]!r})" for text in printed]
     return _Trial(
         tuple(changes), {name: state for name, state in ended.items() if state != begun[name]}

@@ -10,10 +10,10 @@ from contextlib import contextmanager
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, get_args
 
-from rn_standard.selection.restricted import marks
 from rn_testing.case import Case
 from rn_testing.rule import NotApplicable, Violation, require
 from roboneuron import AgentMaySet, RoboNeuronError, Spec
+from roboneuron.selection.restricted import marks
 
 if TYPE_CHECKING:
     from pydantic.fields import FieldInfo

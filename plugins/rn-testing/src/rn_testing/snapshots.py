@@ -46,7 +46,8 @@ def snapshot(value: object, _seen: frozenset[int] = frozenset()) -> object:
 
 
 def is_alike(a: object, b: object) -> bool:
-    """True if two answers agree within rounding and in type: "3.0" is not 3.0, and True is not 1.
+    """True if two answers agree within rounding and in type: "3.0" is not 3.0, True is not 1, and
+    3.0 is not 3.
 
     Fields named `metrics` (durations) are not compared.
     """
@@ -63,6 +64,8 @@ def is_alike(a: object, b: object) -> bool:
     if isinstance(a, bool) or isinstance(b, bool):
         return a is b
     if isinstance(a, (int, float)) and isinstance(b, (int, float)):
+        if isinstance(a, int) is not isinstance(b, int):
+            return False
         return math.isclose(a, b, rel_tol=RTOL, abs_tol=ATOL) or (a != a and b != b)
     if isinstance(a, np.ndarray) and isinstance(b, np.ndarray):
         if a.shape != b.shape or a.dtype.kind != b.dtype.kind:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -75,7 +76,16 @@ def goes_home(self, call):
     call()
 
 
+def goes_home_by_itself(self, call):
+    """Moves for a moment before it is closed, without a command of its own."""
+    if self._start:
+        self._move(self._positions(), dict.fromkeys(self._start, 0.0), 0.2)
+        time.sleep(0.25)
+    call()
+
+
 MUTANTS: dict[str, Mutant] = {
+    "driver_goes_home_on_close": but("close-stands-still", close=goes_home_by_itself),
     "driver_goes_home_when_it_is_closed": but("close-stands-still", close=goes_home),
     "driver_states_share_an_array": but("state-kept", read=shared_state),
     "driver_hold_opens_the_gripper": but("hold-stops", "gripper", hold=opens_on_hold),

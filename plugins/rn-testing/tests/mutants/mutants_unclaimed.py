@@ -102,17 +102,6 @@ def clips_in_place(self, call, command):
     return call(command)
 
 
-def goes_home_on_close(self, call):
-    """Moves for a moment before it is closed."""
-    if self._start:
-        seen = self.__dict__.setdefault("seen", [])
-        seen.append(self._positions())
-        goal = dict.fromkeys(self._start, 0.0)
-        self._move(self._positions(), goal, 0.2)
-        time.sleep(0.25)
-    call()
-
-
 def first_jump(self, call, command):
     sent = call(command)
     if counted(self) == 1:
@@ -182,7 +171,6 @@ MUTANTS: dict[str, Mutant] = {
         "backend", predict=lambda s, call, o: replace(call(o), step_s=0.1 + 1e-3 * counted(s))
     ),
     "driver_writes_into_the_command": one("driver", send=clips_in_place),
-    "driver_goes_home_on_close": one("driver", close=goes_home_on_close),
     "driver_jumps_at_the_first_command": one("driver", send=first_jump),
     "driver_velocity_always_zero": one(
         "driver",

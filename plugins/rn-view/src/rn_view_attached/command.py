@@ -8,7 +8,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from roboneuron import ConfigurationError, MissingDependencyError
+from roboneuron import ConfigurationError, MissingDependencyError, install_command
 
 if TYPE_CHECKING:
     from rn_view_attached.source import AttachedSource, ViewNode
@@ -158,7 +158,7 @@ def _recorded(arguments: Namespace, config: Config, registry: Registry) -> Recor
     except ImportError as error:
         raise MissingDependencyError(
             "Reading recordings needs rn-recorder, which is not installed.",
-            hint="Run: pip install ./plugins/rn-recorder",
+            hint=f"Run: {install_command('rn-recorder')}.",
         ) from error
     from rn_view_recorded.source import RecordedSource
 

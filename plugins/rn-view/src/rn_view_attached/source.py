@@ -18,6 +18,7 @@ from rn_view.diagnostics.module_health import HealthLines
 from rn_view.sources.source import MODULE_KINDS, ModuleRow, PageState, module_row, robot_profile
 from roboneuron import RobotProfile
 from roboneuron.command import AuditLog, Config, Registry, estop
+from roboneuron.modules.arm_paths import UncheckedPaths
 
 M = TypeVar("M")
 
@@ -78,6 +79,7 @@ class AttachedSource:
         self._is_one_of_several = is_one_of_several
         self._audit = AuditReader(AuditLog.in_directory(state_directory).path)
         self._healths: dict[str, str] = {}
+        self._unchecked = UncheckedPaths()
         self.shown_events = EventList()
         self._health_lines = HealthLines(self.shown_events)
 
@@ -97,22 +99,32 @@ class AttachedSource:
         """See Source."""
         modules = {module.module: module for module in self._modules()}
         inference = modules.get("inference")
-        control = modules["control"].metrics if "control" in modules else {}
+        robot, control = (
+            modules[kind].metrics if kind in modules else {} for kind in ("robot", "control")
+        )
         rows = tuple(_row(kind, modules.get(kind)) for kind in MODULE_KINDS)
         for row in rows:
             before = self._healths.get(row.kind, "stopped")
             if row.health != before:
                 self._health_lines.add(row.kind, row.health, before=before)
             self._healths[row.kind] = row.health
-        latch = estop.EmergencyStopLatch.in_directory(self._state_directory).read_state()
+        stop = estop.EmergencyStopLatch.in_directory(self._state_directory)
+        latch, reason = stop.read_state(), stop.still_reason()
         return PageState(
             modules=rows,
             is_latched=latch.latched,
             cause=latch.cause,
+            why_still=() if reason is None else (reason,),
             instruction=inference.instruction if inference is not None else "",
             limit=control.get("limit", ""),
             limit_counts=limit_counts(control),
+            unchecked=self._unchecked.why(self._config, self._registry, robot, control),
         )
+
+    @property
+    def release_command(self) -> str:
+        """See Source."""
+        return estop.EmergencyStopLatch.in_directory(self._state_directory).release_command
 
     def is_latched(self) -> bool:
         """See Source."""

@@ -26,6 +26,7 @@ from roboneuron import (
     foreign,
 )
 from roboneuron.command import Config, ModuleView, Periodic, Registry, Report
+from roboneuron.modules.arm_paths import UncheckedPaths
 
 log = logging.getLogger(__name__)
 M = TypeVar("M")
@@ -81,6 +82,7 @@ class RecordedSource:
         self._delivering = 0
         self._reports: dict[tuple[int, int], list[tuple[str, Report]]] = {}
         self._unusable: set[str] = set()
+        self._unchecked = UncheckedPaths()
         self._clock = clock
         self._stepped_s = clock()
         self._player = Periodic("view-playback", _STEP_S, self.step)
@@ -120,6 +122,7 @@ class RecordedSource:
             latched, cause = self._log.stop(at_ns)
             told, control = reports.get("inference"), reports.get("control")
             metrics = {} if control is None else control.metrics
+            robot = reports.get("robot")
             return PageState(
                 modules=tuple(self._row(kind, reports.get(kind), at_ns) for kind in MODULE_KINDS),
                 is_latched=latched,
@@ -128,7 +131,15 @@ class RecordedSource:
                 or self._log.instruction(at_ns),
                 limit=metrics.get("limit", ""),
                 limit_counts=limit_counts(metrics),
+                unchecked=self._unchecked.why(
+                    self._config, self._registry, {} if robot is None else robot.metrics, metrics
+                ),
             )
+
+    @property
+    def release_command(self) -> str:
+        """See Source. Empty: a recording has no stop."""
+        return ""
 
     def is_latched(self) -> bool:
         """See Source."""
@@ -193,7 +204,7 @@ class RecordedSource:
             message = self._timeline.decode(record)
             if record.type.endswith("Image"):
                 message = _as_image(message, record)
-        except ValueError as error:
+        except (InvalidInputError, ValueError) as error:
             self._unusable.add(record.topic)
             log.warning("Cannot show %s: %s", record.topic, error)
             return

@@ -14,6 +14,7 @@ import pytest
 from rn_view.diagnostics.alarm_rules import STOP, AlarmRules
 from rn_view.diagnostics.alarms import FILE_NAME, AlarmBook
 from roboneuron import InvalidInputError, RefusedError
+from roboneuron.feature import StillReason
 from roboneuron.gate.audit import AuditLog
 
 
@@ -40,29 +41,32 @@ def record(at_s: float, **facts: Any) -> dict[str, Any]:
     return {"time_ns": int(at_s * 1e9), "who": "control", "reason": "", "rule": "", **facts}
 
 
+def reason(rule: str, message: str) -> StillReason:
+    return StillReason(rank="module", rule=rule, message=message, hint="Start it.")
+
+
 def test_a_dead_module_is_an_alarm_that_says_what_to_do(kept: Kept) -> None:
-    kept.rules.on_health("control", "exited", "", "")
-    kept.rules.on_health("inference", "failing", "no weights", "Set weights in [plugins.oft].")
+    kept.rules.on_health("control", "exited", reason("exited", "It has ended."))
+    kept.rules.on_health("inference", "failing", reason("failing", "no weights"))
     policy, control = sorted(kept.book.newest(), key=lambda one: one.source, reverse=True)
-    assert "its process ended by itself" in control.cause
-    assert "roboneuron logs" in control.advice
-    assert (policy.cause, policy.advice) == ("no weights", "Set weights in [plugins.oft].")
+    assert (control.cause, control.advice) == ("It has ended.", "Start it.")
+    assert policy.cause == "no weights"
     kept.now_s = 1005.0
-    kept.rules.on_health("control", "ok", "")
+    kept.rules.on_health("control", "ok")
     (over,) = [one for one in kept.book.newest() if one.source == "control"]
     assert over.over_s == 1005.0
     assert over.is_open, "what is over is acknowledged all the same"
 
 
 def test_a_report_that_is_late_for_less_than_a_second_is_no_alarm(kept: Kept) -> None:
-    kept.rules.on_health("robot", "silent", "")
+    kept.rules.on_health("robot", "silent", reason("silent", "It does not report."))
     kept.now_s += 0.9
     kept.rules.poll()
-    kept.rules.on_health("robot", "ok", "")
+    kept.rules.on_health("robot", "ok")
     kept.now_s += 5.0
     kept.rules.poll()
     assert kept.told() == []
-    kept.rules.on_health("robot", "silent", "")
+    kept.rules.on_health("robot", "silent", reason("silent", "It does not report."))
     kept.now_s += 1.0
     kept.rules.poll()
     kept.rules.poll()

@@ -4,6 +4,7 @@ contrast.
 
 from __future__ import annotations
 
+import socket
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -85,6 +86,33 @@ def test_the_stop_is_large_and_on_top_at_every_width(
     wait_until(lambda: page.evaluate(SCENE) >= min(300, size[0] - 30))
     assert page.evaluate(UNLABELLED) == []
     assert page.title() == "twolink - RoboNeuron"
+
+
+SHOWN = """state => {
+  const inside = state.parentElement.getBoundingClientRect(), all = document.createRange();
+  all.selectNodeContents(state);
+  const text = all.getBoundingClientRect();
+  return text.left >= 0 && text.right <= innerWidth && text.top >= 0 && text.bottom <= inside.bottom
+    && inside.bottom <= innerHeight;
+}"""
+"""Whether the whole text is within its bar, and the bar within the page."""
+
+
+@pytest.mark.parametrize("size", SIZES, ids=[f"{width}px" for width, _ in SIZES])
+def test_the_whole_command_that_releases_it_is_legible_and_names_the_machine(
+    serve: Callable[..., ViewServer],
+    sized: Callable[..., Any],
+    source: FakeSource,
+    size: tuple[int, int],
+) -> None:
+    page = sized(serve().url, size)
+    page.get_by_role("button", name="EMERGENCY STOP").click()
+    assert source.stopped.wait(60)
+    page.get_by_text(source.release_command).wait_for()
+    state = page.locator("#rn-state")
+    assert socket.gethostname() in state.inner_text()
+    assert state.evaluate(SHOWN)
+    assert page.get_by_role("button", name="EMERGENCY STOP").evaluate(ON_TOP)
 
 
 def test_the_key_presses_it_from_a_field_too(

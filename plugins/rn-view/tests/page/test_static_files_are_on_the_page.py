@@ -11,7 +11,9 @@ from rn_view.teleoperation.stick_panel import with_stick_panel
 
 
 def test_every_file_is_on_the_page() -> None:
-    page = with_status_strip(with_stick_panel(page_with_bar(base_page(), ["left"])))
+    page = with_status_strip(
+        with_stick_panel(page_with_bar(base_page(), ["left"], {"": "release it"}))
+    )
     names = [path.name for path in resources.files("rn_view.static").iterdir() if path.is_file()]
     shown = sorted(name for name in names if name.endswith((".css", ".html", ".js")))
     assert [name for name in shown if name.endswith(".js")] == [

@@ -22,8 +22,8 @@ from roboneuron.cli.terminal import (
     show_error,
     with_verbosity_behind,
 )
-from roboneuron.errors import PluginError, nearest
-from roboneuron.plugins.availability import package_of
+from roboneuron.errors import MissingDependencyError, PluginError, nearest
+from roboneuron.plugins.availability import install_command, known_names, package_of
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.loading import load_target
 from roboneuron.plugins.registry import Registry, Status
@@ -162,12 +162,21 @@ def build_parser(registry: Registry, group: str = "") -> ArgumentParser:
     Args:
         registry: the installed plugins.
         group: one of `GROUPS`, or empty for all commands.
+
+    Raises:
+        MissingDependencyError: no installed package has an action of the group.
     """
     listed = {
         spoken(name): text
         for name, text in all_commands(registry).items()
         if spoken(name).startswith(f"{group} ".lstrip())
     }
+    if not listed:
+        bringing = {p for n, p in known_names("command").items() if spoken(n).startswith(group)}
+        raise MissingDependencyError(
+            f"No installed package has an action of `roboneuron {group}`.",
+            hint=f"Run: {install_command(*sorted(bringing))}.",
+        )
     width = max(len(name) for name in listed)
     table = "\n".join(f"  {name:<{width}}  {summary}" for name, summary in listed.items())
     parser = ArgumentParser(
@@ -194,7 +203,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     name, own = named_command(words) if words else ("", [])
     if not name or name.startswith("-") or name in GROUPS:
         is_group = name in GROUPS
-        parser = build_parser(discover(), name if is_group else "")
+        try:
+            parser = build_parser(discover(), name if is_group else "")
+        except MissingDependencyError as error:
+            return show_error(error)
         parser.parse_args(own if is_group else words)  # --help and --version end here
         parser.print_help(sys.stderr)
         return EXIT_USAGE

@@ -180,7 +180,8 @@ class SupervisorConfig(Section):
     )
     hang_timeout_s: Annotated[float, Field(ge=1, le=600)] = Field(
         default=15.0,
-        description="a process whose interpreter runs no thread for this long is ended",
+        description="a process whose interpreter runs no thread for this long is ended; up to "
+        "four times as long while the process gets little of a processor",
     )
     state_directory: str | None = Field(
         default=None, description="logs, latch and audit; XDG state when not given"
@@ -193,6 +194,14 @@ class ZoneConfig(Section):
     name: str = Field(min_length=1, max_length=64, description="named in reports")
     lower_m: Point = Field(description="corner [x, y, z] in the base frame")
     upper_m: Point = Field(description="opposite corner")
+
+
+class KeptOutConfig(ZoneConfig):
+    """One entry of `limits.zones`."""
+
+    applies_to: Literal["tcp", "arm"] = Field(
+        default="tcp", description="tcp; or arm: every link, and what is held, stays out"
+    )
 
 
 class LimitsConfig(Section):
@@ -226,10 +235,15 @@ class LimitsConfig(Section):
     min_height_m: Annotated[float, Field(ge=-100, le=100)] | None = Field(
         default=None, description="lowest z of the TCP in the base frame"
     )
-    zones: tuple[ZoneConfig, ...] = Field(
+    applies_to: Literal["tcp", "arm"] = Field(
+        default="tcp",
+        description="what stays in the workspace and above min_height_m: tcp; or arm: every moving "
+        "link, and what is held",
+    )
+    zones: tuple[KeptOutConfig, ...] = Field(
         default=(),
         strict=False,
-        description="boxes that the TCP must not enter: tables of `name`, `lower_m`, `upper_m`",
+        description="boxes to stay out of: tables of `name`, `lower_m`, `upper_m`, `applies_to`",
     )
     min_singular_value: Annotated[float, Field(ge=0, le=1)] = Field(
         default=0.02,
@@ -365,7 +379,7 @@ class ModuleSettings(BaseModel):
         on_join: "module:attribute" of functions of features, called with the module's node
             (`ModuleHost`).
         tightened: limits that replace the configured ones, none of them wider.
-        shadow: process live inputs without publishing until the handover, see `Handover`.
+        shadow: process live inputs without publishing until a filter says that it is over.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)

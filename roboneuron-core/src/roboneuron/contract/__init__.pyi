@@ -14,6 +14,7 @@ from .arrays import (
 )
 from .image import (
     check_rgb8 as check_rgb8,
+    depth_from_message as depth_from_message,
     frame_from_buffer as frame_from_buffer,
 )
 from .joints import (
@@ -29,9 +30,20 @@ from .meshes import (
     collision_meshes as collision_meshes,
     mesh_file as mesh_file,
 )
+from .camera_view import (
+    CameraView as CameraView,
+    matrix_of as matrix_of,
+)
+from .locator import (
+    CalibratedImage as CalibratedImage,
+    LabelLocator as LabelLocator,
+    LocatedObject as LocatedObject,
+    Locator as Locator,
+)
 from .motion import (
     STATE_STEP_S as STATE_STEP_S,
     Hold as Hold,
+    LinkExtents as LinkExtents,
     JointCommand as JointCommand,
     Posture as Posture,
     Proximity as Proximity,

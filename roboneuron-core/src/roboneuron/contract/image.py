@@ -12,6 +12,9 @@ from roboneuron.errors import InvalidInputError
 
 U8 = NDArray[np.uint8]
 
+_ONE_CHANNEL = {**MEASURE_ENCODINGS, "mono16": "u2"}
+_METRES = {"16UC1": 1e-3, "32FC1": 1.0}
+"""Encodings of depth, and what one of their units is [m]."""
 MAX_SIDE_PX = 8192
 """Largest accepted width or height; larger values count as corrupt."""
 
@@ -73,6 +76,64 @@ def frame_from_buffer(
     if layout.sample_bytes > 1 and is_bigendian:
         pixels = pixels.reshape(rows, -1, layout.sample_bytes)[:, :, ::-1].reshape(rows, -1)
     return np.ascontiguousarray(layout.convert(pixels, height))
+
+
+def measure_from_buffer(
+    data: Any, *, width: int, height: int, step: int, encoding: str, is_bigendian: bool = False
+) -> NDArray[Any]:
+    """Return the numbers (H, W) of one channel held in an image message's buffer; a view on it
+    without row padding.
+
+    Args:
+        data, width, height, step, is_bigendian: as in `frame_from_buffer`.
+        encoding: a key of `MEASURE_ENCODINGS`, or `mono16`.
+
+    Raises:
+        InvalidInputError: another encoding, or a buffer that does not hold the rows.
+    """
+    code = _ONE_CHANNEL.get(encoding)
+    if code is None:
+        raise InvalidInputError(
+            f"Image encoding {encoding[:60]!r} is no measure, expected one of "
+            f"{', '.join(_ONE_CHANNEL)}."
+        )
+    dtype = np.dtype((">" if is_bigendian else "<") + code)
+    raw = np.frombuffer(data, dtype=np.uint8)
+    row_bytes = width * dtype.itemsize
+    if not (height and width) or step < row_bytes or raw.size != step * height:
+        raise InvalidInputError(
+            f"Image buffer holds {raw.size} bytes with step {step}, expected {height} rows of at "
+            f"least {row_bytes} bytes for {width}x{height} {encoding}."
+        )
+    return np.ascontiguousarray(raw.reshape(height, step)[:, :row_bytes]).view(dtype)
+
+
+def depth_from_message(message: Any) -> NDArray[np.float32]:
+    """Return the depth (H, W) [m] of a `sensor_msgs/Image`, NaN where it has a hole.
+
+    Its encoding is `16UC1` [mm] or `32FC1` [m]; 0, infinite and negative values are holes. Source:
+    REP 118, Depth Images.
+
+    Raises:
+        InvalidInputError: another encoding, or a buffer that does not hold the rows.
+    """
+    scale = _METRES.get(message.encoding)
+    if scale is None:
+        raise InvalidInputError(
+            f"Image encoding {message.encoding[:60]!r} is no depth, expected one of "
+            f"{', '.join(_METRES)}."
+        )
+    values = measure_from_buffer(
+        message.data,
+        width=message.width,
+        height=message.height,
+        step=message.step,
+        encoding=message.encoding,
+        is_bigendian=bool(message.is_bigendian),
+    )
+    depth_m = values.astype(np.float32) * np.float32(scale)
+    depth_m[~(np.isfinite(depth_m) & (depth_m > 0))] = np.nan
+    return depth_m
 
 
 def _unreadable(encoding: str) -> InvalidInputError:

@@ -6,7 +6,7 @@ Arrays are kept as read-only copies.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 from roboneuron.contract.arrays import F64, ReadOnly
@@ -32,6 +32,10 @@ class JointCommand(ReadOnly):
     duration_s: float
     residual_m: float = 0.0
     residual_rad: float = 0.0
+
+    def get(self, name: str) -> float | None:
+        """Position for a joint [rad or m]; None if it is not among these."""
+        return float(self.position[self.names.index(name)]) if name in self.names else None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -65,6 +69,21 @@ class Proximity:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class LinkExtents(ReadOnly):
+    """Boxes around the moving links, and around what hands may hold, along the axes of the base
+    frame.
+
+    Attributes:
+        names: of the links.
+        lower_m, upper_m: corners, float64 (n, 3).
+    """
+
+    names: tuple[str, ...]
+    lower_m: F64
+    upper_m: F64
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Posture:
     """Properties of a posture of the arm, as far as its controller can compute them.
 
@@ -74,6 +93,8 @@ class Posture:
             singularity, None if unknown.
         near: every pair closer than the profile's `collision` allows, once, links of all arms
             included; None if not checked.
+        extents: returns the boxes around the links of all arms; None if the controller cannot tell
+            them. Called only where limits hold for the whole arm.
         others: TCP and singular value of the arms after the first, in the order of the profile's
             `arms`; () for one arm.
     """
@@ -81,11 +102,12 @@ class Posture:
     pose: Pose
     smallest_singular_value: float | None = None
     near: tuple[Proximity, ...] | None = None
+    extents: Callable[[], LinkExtents] | None = None
     others: tuple[Posture, ...] = ()
 
     @property
     def arms(self) -> tuple[Posture, ...]:
-        """The posture of each arm; `near` is part of the first."""
+        """The posture of each arm; `near` and `extents` are part of the first."""
         return (self, *self.others)
 
 

@@ -53,9 +53,11 @@ class Frame:
         stamp_ns: capture time, ROS clock [ns].
         frame_id: optical frame's name, never empty.
         calibration: None when the robot's profile has none for this camera.
+        depth_m: float32 (H, W), distance along the optical axis registered to the image [m], NaN
+            where unknown; read-only like it. None without a depth camera, and for policies.
 
     Raises:
-        InvalidInputError: the image is not uint8 (H, W, 3).
+        InvalidInputError: the image is not uint8 (H, W, 3), or the depth has another size.
     """
 
     camera: str
@@ -63,9 +65,18 @@ class Frame:
     stamp_ns: int
     frame_id: str
     calibration: CameraCalibration | None = None
+    depth_m: NDArray[np.float32] | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "image", read_only_view(check_rgb8(self.image)))
+        if self.depth_m is None:
+            return
+        if self.depth_m.shape != self.image.shape[:2] or self.depth_m.dtype != np.float32:
+            raise InvalidInputError(
+                f"The depth of camera {self.camera!r} is {self.depth_m.dtype} "
+                f"{self.depth_m.shape}, expected float32 {self.image.shape[:2]} like its picture."
+            )
+        object.__setattr__(self, "depth_m", read_only_view(self.depth_m))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -98,6 +109,10 @@ class JointSample(ReadOnly):
     position: F64
     velocity: F64 | None = None
     stamp_ns: int = 0
+
+    def get(self, name: str) -> float | None:
+        """Position of a joint [rad or m]; None if it is not among these."""
+        return float(self.position[self.names.index(name)]) if name in self.names else None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

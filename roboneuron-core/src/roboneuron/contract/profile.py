@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from math import isfinite
 from typing import Protocol
 
 import numpy as np
@@ -49,6 +50,13 @@ class JointLimits(ReadOnly):
     braking_deceleration: F64 | None = None
 
 
+class PositionsByName(Protocol):
+    """Positions by joint name: a mapping, a `JointSample` or a `JointCommand`."""
+
+    def get(self, name: str, /) -> float | None:
+        """Position of a joint [rad or m]; None if it is not among these."""
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class GripperProfile:
     """A gripper driven by one joint whose position is proportional to the opening.
@@ -72,6 +80,12 @@ class GripperProfile:
         # in this order: `max(0.0, nan)` would be 0, a closed gripper
         return min(max((position - self.closed_position) / span, 0.0), 1.0)
 
+    def opening_in(self, joints: PositionsByName | None) -> float | None:
+        """Opening 0..1 among positions by joint name; None without its joint or a finite value."""
+        position = None if joints is None else joints.get(self.joint)
+        # `to_opening` would make 0 or 1 of infinity
+        return None if position is None or not isfinite(position) else self.to_opening(position)
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ArmProfile:
@@ -90,6 +104,10 @@ class ArmProfile:
     base_link: str
     tcp_link: str
     gripper: GripperProfile | None = None
+
+    def opening_in(self, joints: PositionsByName | None) -> float | None:
+        """As `GripperProfile.opening_in`; None without a gripper."""
+        return None if self.gripper is None else self.gripper.opening_in(joints)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -249,6 +267,8 @@ class RobotProfile:
         mesh_folder: folder of the description, at which the paths of its meshes start and in which
             (and above) packages are looked for. Empty: absolute paths and the packages of the
             sourced ROS installation only.
+        gestures: named motions through postures, one after the other: positions by joint [rad or
+            m], other joints stay.
         own_topics: topics in its namespace that its drivers and simulations publish, besides those
             of the contract and the read `endpoints`; agents may not publish them.
     """
@@ -268,6 +288,7 @@ class RobotProfile:
     own_topics: tuple[str, ...] = ()
     mesh_folder: str = ""
     arms: tuple[ArmProfile, ...] = ()
+    gestures: Mapping[str, tuple[Mapping[str, float], ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         freeze(self, "home_rad")
@@ -321,16 +342,24 @@ class RobotProfile:
             home_rad=None if self.home_rad is None else self.home_rad[rows],
         )
 
-    def why_unchecked(self, limits: DistanceLimits, *, are_told: bool = True) -> str:
-        """One sentence on why the distances between its links are not checked, and one on what to
-        do; empty if they are, and for a robot without an arm.
+    def why_unchecked(
+        self, limits: DistanceLimits, *, are_told: bool = True, places: str = ""
+    ) -> str:
+        """One sentence on why the distances between its links, or places on the way of joint
+        commands, are not checked, and one on what to do; empty if they are, or without an arm.
 
         Args:
             limits: section [limits] of the configuration.
             are_told: the controller tells distances, as far as is known.
+            places: why nothing computes that way in front of the driver, and what to do.
         """
         if not self.arm_joints:
             return ""
+        if places:
+            return (
+                f"Places and distances on the way of joint commands to {self.name!r} are not "
+                f"checked: {places}"
+            )
         names = collision_meshes(self.urdf)
         missing = [name for name in names if mesh_file(name, self.mesh_folder) is None]
         is_asked = (self.collision, limits.min_distance_m, limits.obstacles) != (None, None, None)

@@ -146,19 +146,19 @@ class ControlSpace:
             raise InvalidInputError(
                 f"An action has shape {row.shape}, expected ({self.size},): {self.keys}."
             )
-        finite = np.isfinite(row)
-        if not finite.all():
-            bad = int(np.argmin(finite))
-            raise UnsafeError(
-                f"An action holds a non-finite value at {self.keys[bad]} ({row[bad]})."
+        numbers = row.tolist()  # on so few, numpy takes longer than Python
+        if not all(map(math.isfinite, numbers)):
+            key, value = next(
+                pair for pair in zip(self.keys, numbers, strict=True) if not math.isfinite(pair[1])
             )
+            raise UnsafeError(f"An action holds a non-finite value at {key} ({value}).")
         for i in self._grippers:
-            if not 0.0 <= row[i] <= 1.0:
+            if not 0.0 <= numbers[i] <= 1.0:
                 raise InvalidInputError(
-                    f"{self.keys[i]} is {row[i]:g}, expected a value in [0 closed, 1 open]."
+                    f"{self.keys[i]} is {numbers[i]:g}, expected a value in [0 closed, 1 open]."
                 )
         for part in self.quaternions:
-            norm = math.hypot(*row[part].tolist())
+            norm = math.hypot(*(numbers[i] for i in part))
             if not _LEAST_NORM <= norm <= _GREATEST_NORM:
                 raise InvalidInputError(
                     f"{', '.join(self.keys[i] for i in part)} have the length {norm:.4g}, expected "

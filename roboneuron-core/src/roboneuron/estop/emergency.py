@@ -14,10 +14,10 @@ import time
 from collections.abc import Callable
 from queue import SimpleQueue
 
-from roboneuron.errors import NotReadyError, RefusedError, UnsafeError
-from roboneuron.estop.latch import EmergencyStopLatch
+from roboneuron.errors import NotReadyError, UnsafeError
+from roboneuron.estop.latch import EmergencyStopLatch, latched_reason
 from roboneuron.estop.pin import ReleasePin
-from roboneuron.gate import AuditLog, AuditRecord
+from roboneuron.gate import AuditLog, AuditRecord, StillReason
 from roboneuron.modules.settings import EMERGENCY_STOP_TOPIC
 from roboneuron.supervisor.supervisor import Supervisor
 
@@ -95,20 +95,17 @@ class EmergencyStop:
 
     def check(self) -> None:
         """Raise RefusedError, which names the origin, if it is latched."""
-        if self.is_latched():
-            cause = self.cause()
-            raise RefusedError(
-                f"The emergency stop is latched{f' ({cause})' if cause else ''}: nothing would "
-                "move.",
-                hint="A person releases it: see reset_emergency_stop.",
-                rule="emergency_stop",
-            )
+        reason = self.still_reason()
+        if reason is not None:
+            raise reason.refusal()
+
+    def still_reason(self) -> StillReason | None:
+        """Why nothing moves while it is latched, by the file or in a module; None if it is not."""
+        return latched_reason(self.cause()) if self.is_latched() else None
 
     def cause(self) -> str:
         """Origin and reason, as far as known; empty if not latched."""
-        state = self.file.read_state()
-        restored = f" (its file vanished without a reset and was written again, {state.restored} x)"
-        return f"{state.cause}{restored if state.restored else ''}" if state.cause else ""
+        return self.file.read_state().cause
 
     def prepare(self, namespace: str) -> None:
         """Advertise the topic in advance, with the latch's present state for modules that start

@@ -14,6 +14,7 @@ from __future__ import annotations
 import errno
 import logging
 import os
+import shlex
 import stat
 import threading
 import time
@@ -32,12 +33,22 @@ from roboneuron.estop.latch_file import (
     write_cause,
 )
 from roboneuron.estop.pin import ReleasePin
-from roboneuron.gate import AuditLog, AuditRecord, Role
+from roboneuron.gate import AuditLog, AuditRecord, Role, StillReason
 from roboneuron.log_files import make_log_directory
 
 log = logging.getLogger(__name__)
 _AGAIN_S = 1.0
 """Retry period for a latch that cannot be written."""
+
+
+def latched_reason(cause: str) -> StillReason:
+    """Why nothing moves while the stop is latched, by the origin of the stop; empty if unknown."""
+    return StillReason(
+        rank="stop",
+        rule="emergency_stop",
+        message=f"The emergency stop is latched{f' by {cause}' if cause else ''}.",
+        hint="A person releases it: reset_emergency_stop, or `roboneuron estop --reset`.",
+    )
 
 
 class EmergencyStopLatch:
@@ -100,6 +111,13 @@ class EmergencyStopLatch:
             return False
         return True
 
+    @property
+    def release_command(self) -> str:
+        """Command with which a person releases this stop, in a terminal on this machine. It names
+        the directory, because that of another user or configuration differs.
+        """
+        return f"roboneuron estop --reset --state {shlex.quote(str(self.path.parent.absolute()))}"
+
     def is_latched(self) -> bool:
         """True if motion is forbidden; about 1 us."""
         with self._lock:
@@ -155,12 +173,11 @@ class EmergencyStopLatch:
             RefusedError: it is latched; names the origin, as far as known.
         """
         if self.is_latched():
-            cause = self.read_state().cause
-            raise RefusedError(
-                f"The emergency stop is latched{f' by {cause}' if cause else ''}.{note}",
-                hint="It has to be reset first.",
-                rule="emergency_stop",
-            )
+            raise latched_reason(self.read_state().cause).refusal(note)
+
+    def still_reason(self) -> StillReason | None:
+        """Why nothing moves while it is latched; None if it is not."""
+        return latched_reason(self.read_state().cause) if self.is_latched() else None
 
     def read_state(self) -> LatchState:
         """Origin and reason, as far as the file contains them."""
@@ -334,12 +351,7 @@ class EmergencyStopLatch:
                 rule="" if is_allowed else "role",
             )
         )
-        if not is_allowed:
-            raise RefusedError(
-                f"Resetting the emergency stop needs the role '{Role.ADMIN}', {who!r} has "
-                f"{role!r}.",
-                rule="role",
-            )
+        Role.ADMIN.check(who, role, "Resetting the emergency stop")
         with self._lock:
             newest = self.read_state()
             is_other = agreed_ns is not None and newest.time_ns != agreed_ns

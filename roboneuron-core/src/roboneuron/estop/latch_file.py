@@ -42,7 +42,10 @@ class LatchState:
         if not self.who:
             return ""
         who = printable(self.who, 100)
-        return f"{who}: {quoted(self.reason)}" if self.reason else who
+        told = f"{who}: {quoted(self.reason)}" if self.reason else who
+        if self.restored:
+            told += f" (its file vanished without a reset and was written again, {self.restored} x)"
+        return told
 
 
 def read_cause(path: Path) -> LatchState:

@@ -16,6 +16,7 @@ from typing import Final
 
 from roboneuron.errors import NotReadyError, RefusedError, RoboNeuronError, StateError
 from roboneuron.estop import motion_stop
+from roboneuron.gate import StillReason
 from roboneuron.modules.settings import (
     ARM_KINDS,
     EMERGENCY_STOP,
@@ -149,6 +150,21 @@ class MotionStarts:
             reports = [slot.report for slot in slots if slot.phase == "running"]
             return any(report is not None and report.needs_start for report in reports)
 
+    def still_reason(self) -> StillReason | None:
+        """Why nothing moves after a stop until it is asked for again; None if there was none."""
+        with self._supervisor.changes.lock:
+            slots = [slot for kind in ARM_KINDS for slot in self._supervisor.slots[kind]]
+            told = [slot.report.needs_start for slot in slots if slot.report is not None]
+        stop = self._supervisor.needs_start or next(filter(None, told), "")
+        if not stop:
+            return None
+        return StillReason(
+            rank="start",
+            rule="new_start",
+            message=f"Motion needs a new start after a stop: {stop}.",
+            hint=self.AGAIN,
+        )
+
     def permit(self, arm_stops: int | None = None) -> int:
         """Permit motion on a client's request: modules that a stop keeps still accept commands
         again. Return `stops`, see `check`.
@@ -196,7 +212,7 @@ class MotionStarts:
                 # newer than the request
                 if report.stops != self._seen.get(slot.process.pid):
                     raise RefusedError(
-                        f"{kind} was stopped meanwhile: {report.needs_start}.",
+                        f"{kind} needs a new start meanwhile: {report.needs_start}.",
                         hint="Ask again.",
                         rule="new_start",
                     )
@@ -207,7 +223,7 @@ class MotionStarts:
                 self._await_obeying(slot, report.stops)
 
     def check(self, stops: int) -> None:
-        """Raise if a stop came since `permit`.
+        """Raise if motion was forbidden since `permit`.
 
         Args:
             stops: returned by `permit`.
@@ -217,7 +233,7 @@ class MotionStarts:
         """
         if self.stops != stops:
             raise StateError(
-                f"There was a stop meanwhile: {self.reason}. Nothing moves.", hint="Ask again."
+                f"Motion was forbidden meanwhile: {self.reason}. Nothing moves.", hint="Ask again."
             )
 
     def begin(self, text: str) -> int:
@@ -245,13 +261,17 @@ class MotionStarts:
         Raises:
             RefusedError: as `begin`.
             StateError: no policy runs.
-            NotReadyError: it does not answer.
+            NotReadyError: it does not answer; it is ended, because it may still obey later.
         """
         ticket = self.begin(text)
-        slots = self._running("inference")
-        if not slots:
-            self._supervisor.require_running("inference")
-        refused = [self._set(slot, {INSTRUCTION_PARAMETER: text}, timeout_s) for slot in slots]
+        try:
+            slots = self._running("inference")
+            if not slots:
+                self._supervisor.require_running("inference")
+            refused = [self._set(slot, {INSTRUCTION_PARAMETER: text}, timeout_s) for slot in slots]
+        except RoboNeuronError:
+            self.withdraw(ticket)
+            raise
         if any(refused):
             self.withdraw(ticket)
         return ticket, "; ".join(filter(None, refused))

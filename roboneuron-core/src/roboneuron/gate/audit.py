@@ -23,6 +23,7 @@ from typing import Any
 from pydantic_core import to_json
 
 from roboneuron.errors import RefusedError
+from roboneuron.gate.stillness import StillReason
 from roboneuron.log_files import locked, make_log_directory
 
 _MAX_ARGUMENTS = 4096
@@ -78,7 +79,8 @@ class AuditLog:
     Attributes:
         path: the current file.
         on_record: called with each written record, on the writer's thread; must return quickly.
-        failed: writing the last record failed; a motion in progress has to end.
+        failure: why nothing may move since the last record could not be written; None if it was
+            written. A motion in progress has to end.
     """
 
     @staticmethod
@@ -125,7 +127,7 @@ class AuditLog:
         self._identity = (-1, -1)
         # the file ends within a line: an appended record would be lost in it
         self._torn = False
-        self.failed = False
+        self.failure: StillReason | None = None
 
     def write(self, record: AuditRecord) -> None:
         """Append a record; it is then with the operating system, not necessarily on the disk.
@@ -138,15 +140,16 @@ class AuditLog:
             try:
                 self._append(line)
             except OSError as error:
-                self.failed = True
-                self.close()
-                raise RefusedError(
-                    f"The audit {self.path} cannot be written: {error.strerror or error}. Nothing "
-                    "moves without it.",
-                    hint="Free disk space or fix the permissions of the state directory.",
+                self.failure = StillReason(
+                    rank="server",
                     rule="audit",
-                ) from error
-            self.failed = False
+                    message=f"The audit {self.path} cannot be written: {error.strerror or error}. "
+                    "Nothing moves without it.",
+                    hint="Free disk space or fix the permissions of the state directory.",
+                )
+                self.close()
+                raise self.failure.refusal() from error
+            self.failure = None
         self.on_record(record)
 
     def write_if_possible(self, record: AuditRecord) -> None:

@@ -4,6 +4,7 @@ inputs are valid, what is sent for them, and when the arm holds.
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -17,7 +18,6 @@ from roboneuron.config.models import FIRST_STEP_S
 from roboneuron.contract import Controller, Hold, JointCommand, JointSample
 from roboneuron.errors import ConfigurationError, RoboNeuronError, UnsafeError
 from roboneuron.gate.motion import (
-    LimitedCommand,
     MotionLimiter,
     MotionRules,
     check_tighter,
@@ -33,7 +33,10 @@ from roboneuron.modules.settings import (
     FOLLOWING_NOTE,
     FUTURE_S,
     HOLD_DURATION_S,
+    HOLDING_NOTE,
 )
+from roboneuron.moved import Moved
+from roboneuron.ros.graph import server_node
 from roboneuron.ros.messages import commands_from_message, to_joint_state, to_joint_trajectory
 from roboneuron.ros.topics import JOINT_COMMAND, JOINT_STATES, JOINT_TRAJECTORY
 
@@ -48,19 +51,20 @@ class HoldingModule(LimitedModule):
     Attributes:
         section: [control] of the configuration.
         profile: the robot's profile.
-        on_limited: called with each command after the limits were applied, before it is sent.
         poses: computes the TCP poses of each arm from joints; from `limit_with` on.
         reference, remaining_s: of the command in progress, see `MotionLimiter`; from `limit_with`
             on.
         watched: the newest accepted joint state.
         clock: the arm's time [s], by which steps and set points are counted; watchdogs and ages go
-            by the real one. Another one is only for simulations that wait for commands.
+            by the real one. A filter may set another one.
+        fixed_step_s: time of each action [s]; None for the time since the previous one.
         is_active: commands may be sent.
         is_holding: the newest command was a hold.
         action_s, action_ns: the newest action: when it was acted on [monotonic s], and when it was
             sent [ROS time, ns].
     """
 
+    on_limited = Moved("StepFilter.note_limited")
     _limiter: MotionLimiter
 
     def __init__(self, node: ModuleHost) -> None:
@@ -77,6 +81,7 @@ class HoldingModule(LimitedModule):
         self.profile = replace(profile, collision=collision_of(self.config.limits, profile))
         self.watched = JointWatch(self.profile, self.section.state_timeout_s)
         self.clock: Callable[[], float] = time.monotonic
+        self.fixed_step_s: float | None = None
         self.action_s = 0.0
         self.action_ns = 0
         self.is_active = False
@@ -85,9 +90,9 @@ class HoldingModule(LimitedModule):
         self._hold_is_due = False
         # a command of this process was sent: from then on the predecessor's are ignored
         self._is_sent = False
+        self._server = server_node(os.getppid())
         # the newest command continues by itself after its row
         self._has_plan = False
-        self.on_limited: list[Callable[[LimitedCommand], None]] = []
         is_state = self.section.command == "joint_state"
         commands = (JointState, JOINT_COMMAND) if is_state else (JointTrajectory, JOINT_TRAJECTORY)
         self._commands = node.advertise(*commands)
@@ -180,7 +185,7 @@ class HoldingModule(LimitedModule):
             read: called if it may be acted on; if it raises RoboNeuronError, the error is reported
                 and the action dropped.
         """
-        if not self.is_active or self.handover.is_over(source_ns):
+        if not self.is_active or not self.filters.admits(source_ns):
             return
         age_s = (time.time_ns() - source_ns) / 1e9
         reason = self.why_not(age_s, source_ns)
@@ -202,8 +207,8 @@ class HoldingModule(LimitedModule):
         began_s = time.monotonic()
         now_s = self.clock()
         wanted = asked.now(joints, self.step_s(source_ns, began_s), now_s)
-        if self.handover.is_shadow(source_ns):
-            self.handover.withhold(wanted)
+        if not self.filters.sends(source_ns):
+            self.filters.withhold(wanted)
             return
         outcome: JointCommand | Hold | None = wanted
         if isinstance(outcome, JointCommand):
@@ -238,7 +243,7 @@ class HoldingModule(LimitedModule):
             return
         self._has_plan = isinstance(message, JointTrajectory) and len(message.points) > 1
         self._commands.publish(message)
-        self.handover.note_sent("command")
+        self.filters.note_sent("command")
         self._note_command()
         self.status.output.tick()
         self.status.latency.append(age_s * 1e3)
@@ -254,8 +259,8 @@ class HoldingModule(LimitedModule):
         limited = self._limiter.limit(command, joints, now_s)
         if limited.command is None:
             self.status.drop(f"limit_{limited.acted[-1]}")
-        for tell in self.on_limited:
-            tell(limited)
+        for one in self.filters:
+            one.note_limited(limited)
         return limited.command
 
     @final
@@ -291,6 +296,8 @@ class HoldingModule(LimitedModule):
         """
         spacing_s = (source_ns - self.action_ns) / 1e9 if self.action_ns else 0.0
         self.action_ns = source_ns
+        if self.fixed_step_s is not None:
+            return self.fixed_step_s
         return self.section.step_s(max(now_s - self.action_s, min(spacing_s, FIRST_STEP_S)))
 
     def _note_command(self) -> None:
@@ -305,12 +312,12 @@ class HoldingModule(LimitedModule):
         """Command the measured posture, once per reason to hold.
 
         Without a fresh joint state nothing is sent, since the arm would return to an old posture:
-        its last command comes to an end, and the next joint state is held at once. In shadow the
-        other control keeps the arm; an inactive control sends nothing.
+        its last command comes to an end, and the next joint state is held at once. A control whose
+        filters send nothing, or that is inactive, sends no hold either.
         """
-        if not self.is_active or not self.handover.is_ours(time.time_ns()):
+        if not self.is_active or not self.filters.is_ours(time.time_ns()):
             return
-        self.status.set(note=f"holding: {reason}")
+        self.status.set(note=f"{HOLDING_NOTE}{reason}")
         self.status.set_value("hold_code", code)
         if self.is_holding:
             return
@@ -330,11 +337,16 @@ class HoldingModule(LimitedModule):
         """Convert a command and the commands planned after it to the configured message type; a
         JointState has no duration and no plan.
         """
+        message: JointTrajectory | JointState
         if self.section.command == "joint_trajectory":
-            return to_joint_trajectory(command, *planned)
-        return to_joint_state(
-            JointSample(names=command.names, position=command.position, stamp_ns=self.node.now_ns())
-        )
+            message = to_joint_trajectory(command, *planned)
+        else:
+            joints = JointSample(
+                names=command.names, position=command.position, stamp_ns=self.node.now_ns()
+            )
+            message = to_joint_state(joints)
+        message.header.frame_id = self._server
+        return message
 
     def _watch(self) -> None:
         """Hold within one timeout after the last action.
@@ -342,7 +354,7 @@ class HoldingModule(LimitedModule):
         The check runs five times per timeout and holds after three quarters of it, so the arm has
         begun to hold before the timeout is over.
         """
-        if not self.is_active or self.is_holding or not self.handover.is_ours(time.time_ns()):
+        if not self.is_active or self.is_holding or not self.filters.is_ours(time.time_ns()):
             return
         if time.monotonic() - self.action_s > self.section.hold_after_s:
             self.hold("no_action", f"No action for {self.section.action_timeout_s:g} s.")

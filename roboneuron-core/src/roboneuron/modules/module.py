@@ -20,7 +20,7 @@ from roboneuron.config import ModuleSettings
 from roboneuron.errors import ConfigurationError, RoboNeuronError, StateError, UnsafeError
 from roboneuron.estop.latch import EmergencyStopLatch
 from roboneuron.hang_watch import HangWatch
-from roboneuron.modules.module_host import Handover, Module, ModuleHost
+from roboneuron.modules.module_host import Module, ModuleHost
 from roboneuron.modules.parent_watch import Signals, watch_stdin
 from roboneuron.modules.requests import RequestGuard
 from roboneuron.modules.settings import (
@@ -31,6 +31,7 @@ from roboneuron.modules.settings import (
     STOP_PARAMETER,
 )
 from roboneuron.modules.status import StatusReporter
+from roboneuron.modules.step_filters import StepFilter
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.loading import load_attribute
 from roboneuron.plugins.specs import FeatureSpec
@@ -102,8 +103,8 @@ class ModuleNode(ModuleHost):
             return "the emergency stop is latched"
         if stops == self.stops:
             return ""
-        cause = f" ({self.needs_start})" if self.needs_start else ""
-        return f"a stop came since motion was asked for{cause}"
+        # not always a stop that somebody pressed: a silent server or a frozen process counts too
+        return f"motion has to be asked for again: {self.needs_start or 'it was forbidden since'}"
 
     def _permit(self, stops: int) -> None:
         """Permit motion again after a request for motion that is newer than the latest stop.
@@ -194,12 +195,11 @@ class ModuleNode(ModuleHost):
             ConfigurationError: it is to run in shadow, and no feature would end the shadow.
             RoboNeuronError: raised by the module.
         """
-        if self.settings.shadow and type(self.handover) is Handover:
+        phases = [one.phase for one in self.filters]
+        if self.settings.shadow and StepFilter.StepPhase.HANDOVER not in phases:
             raise ConfigurationError(
-                "This process was started to replace a running module, but nothing here says when "
-                "it takes over.",
-                hint="Install the package of the feature that replaces modules in this "
-                "interpreter's environment too.",
+                "This process is to replace a running module, but nothing here says when.",
+                hint="Install the package of the feature that replaces modules here too.",
             )
         try:
             with self.watch.loading():

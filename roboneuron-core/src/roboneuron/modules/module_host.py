@@ -17,10 +17,10 @@ from rclpy.qos import QoSProfile
 
 from roboneuron import foreign
 from roboneuron.config import LimitsConfig, ModuleSettings
-from roboneuron.contract import Hold, JointCommand, Pose
-from roboneuron.errors import ConfigurationError, ForeignDataError, PluginError, UnsafeError
+from roboneuron.errors import ConfigurationError, ForeignDataError, UnsafeError
 from roboneuron.modules.settings import LIMITS_PARAMETER, NEEDS_NEW_START, STOP_MOTION
 from roboneuron.modules.status import StatusWriter
+from roboneuron.modules.step_filters import StepFilter, StepFilters
 from roboneuron.moved import Moved
 from roboneuron.plugins.discovery import discover
 from roboneuron.ros.executor import created
@@ -28,54 +28,17 @@ from roboneuron.ros.graph import foreign_names
 from roboneuron.ros.qos import NEWEST
 from roboneuron.ros.topics import JOINT_COMMAND, JOINT_TRAJECTORY
 
-PartT = TypeVar("PartT")
 Value = TypeVar("Value", str, int)
 """Type of a ROS parameter."""
 _TO_JOINTS = {JOINT_TRAJECTORY, JOINT_COMMAND}
 
 
-class Handover:
-    """Policy of a module's inputs and outputs while it replaces another module or is replaced. This
-    base class is the policy outside a handover.
-
-    A feature installs its own (`ModuleHost.handover`). Inputs are identified by their time stamps
-    [ROS time, ns]: capture times of images, times at which actions were sent and joints measured.
-    Methods are called from any of the module's threads.
-    """
-
-    def is_shadow(self, stamp_ns: int) -> bool:
-        """True if the input still belongs to the predecessor: process it, but send nothing."""
-        return False
-
-    def is_over(self, stamp_ns: int) -> bool:
-        """True if the input already belongs to the successor."""
-        return False
-
-    def is_ours(self, stamp_ns: int) -> bool:
-        """True if this module has to act on the input."""
-        return not self.is_shadow(stamp_ns) and not self.is_over(stamp_ns)
-
-    def may_send(self, now_ns: int) -> bool:
-        """True if the predecessor has finished, so that this module may send."""
-        return True
-
-    def must_fall_silent(self, now_ns: int) -> bool:
-        """True if the successor replaces the rest of a chunk."""
-        return False
-
-    def withhold(self, output: JointCommand | Hold | Pose) -> None:
-        """Receive an output that was not sent, because its input belongs to the predecessor."""
-
-    def note_sent(self, what: str) -> None:
-        """Record that an output of that name was sent."""
-
-
 class ModuleHost(LifecycleNode):  # type: ignore[misc]
     """Node of a module process, as used by its module and by features.
 
-    Features (`FeatureSpec.on_join`) use the settings, the status, the handover, parameters and
-    stops; modules also publish and subscribe. A feature's function sets attributes before the
-    module is created, on the executor's thread.
+    Features (`FeatureSpec.on_join`) use the settings, the status, parameters, stops and the list
+    of filters; modules also publish and subscribe. A feature's function is called before the module
+    is created, on the executor's thread.
 
     Attributes:
         settings: settings of the process.
@@ -88,13 +51,13 @@ class ModuleHost(LifecycleNode):  # type: ignore[misc]
         stops: number of stops seen.
         needs_start: reason that forbids motion until it is requested anew; empty for none.
         stops_lock: guards these two.
-        handover: decides which inputs are this module's; a feature that replaces modules installs
-            its own object.
+        filters: of features; those that need the module are added to `Module.filters`.
         on_configured: called with the module at the end of every `configure`, which fails if one
             raises.
     """
 
-    lent = Moved("ModuleHost.provide")
+    lent, provide = Moved("ModuleHost.filters"), Moved("ModuleHost.filters")
+    handover = Moved("ModuleHost.filters")
 
     def __init__(self, settings: ModuleSettings) -> None:
         """Args:
@@ -110,8 +73,7 @@ class ModuleHost(LifecycleNode):  # type: ignore[misc]
         self.stops, self.needs_start = 0, ""
         # a stop and a permission may come on two threads
         self.stops_lock = threading.Lock()
-        self.handover = Handover()
-        self._provided: list[object] = []
+        self.filters: list[StepFilter] = []
         self.on_configured: list[Callable[[Module], None]] = []
 
     @abstractmethod
@@ -122,21 +84,6 @@ class ModuleHost(LifecycleNode):  # type: ignore[misc]
         A silence that has just ended lasts until the executor has handled it: after this process
         was frozen, the thread that reads the signs of life may resume first.
         """
-
-    def provide(self, part: object) -> None:
-        """Provide a part of the module, an instance of a class that the module's package publishes
-        for it. Called by features, before the module is created.
-
-        Raises:
-            PluginError: another feature provides one of that class.
-        """
-        if self.provided(type(part)) is not None:
-            raise PluginError(f"Two features provide a {type(part).__name__} of this module.")
-        self._provided.append(part)
-
-    def provided(self, kind: type[PartT]) -> PartT | None:
-        """Return the part of that class that a feature provides; None without one."""
-        return next((part for part in self._provided if isinstance(part, kind)), None)
 
     def create_timer(self, period_s: float, callback: Callable[[], None], **options: Any) -> Any:
         """Create a timer as Node does, but on the steady clock: a timer on ROS time would stop for
@@ -306,12 +253,12 @@ class Module(ABC):
 
     def __init__(self, node: ModuleHost) -> None:
         """Args:
-        node: kept as `node`; its parts also under their own names.
+        node: kept as `node`; its parts also under their own names, and its filters as the first.
         """
         self.node = node
         self.config = node.settings.config
         self.status = node.status
-        self.handover = node.handover
+        self.filters = StepFilters(node.filters)
         self.registry = discover(self.config.disabled_plugins)
 
     @abstractmethod

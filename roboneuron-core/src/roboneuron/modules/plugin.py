@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import cast
 
-from roboneuron.config import Config
 from roboneuron.contract import RobotProfile
-from roboneuron.errors import PluginError, RoboNeuronError
+from roboneuron.errors import PluginError
 from roboneuron.plugins.loading import load_options, load_target
 from roboneuron.plugins.registry import Registry
 from roboneuron.plugins.specs import DriverSpec, RobotSpec, Spec
@@ -40,14 +39,3 @@ def load_profile(registry: Registry, robot: str) -> RobotProfile:
             "RobotProfile."
         )
     return profile
-
-
-def unchecked_distances(config: Config, registry: Registry, *, are_told: bool = True) -> str:
-    """`RobotProfile.why_unchecked` for the configured robot; empty if its plugin cannot be used,
-    which is reported elsewhere.
-    """
-    try:
-        profile = load_profile(registry, config.robot.name)
-    except RoboNeuronError:
-        return ""
-    return profile.why_unchecked(config.limits, are_told=are_told)

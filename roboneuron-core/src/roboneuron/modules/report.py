@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidationIn
 from pydantic import ValidatorFunctionWrapHandler as Parse
 
 from roboneuron.errors import InternalError, RoboNeuronError
-from roboneuron.modules.settings import FOLLOWING_NOTE
+from roboneuron.modules.settings import FAULT_DETAIL, FOLLOWING_NOTE, HOLDING_NOTE
 
 _MOST_PAIRS, _MOST_KEY, _MOST_VALUE, _MOST_REPORT = 128, 100, 2000, 6000
 """Of the reports that are kept: any node can publish one [characters; the last, all values]."""
@@ -144,6 +144,20 @@ class Report(ModuleFacts):
         """True for control while it follows requests, that is, does not hold."""
         return self.note == FOLLOWING_NOTE
 
+    @property
+    def held(self) -> tuple[str, str]:
+        """Why control holds the arm: a code such as the name of a limit, and a sentence; empty if
+        it does not.
+        """
+        if not self.note.startswith(HOLDING_NOTE):
+            return "", ""
+        return self.metrics.get("hold_code", ""), self.note.removeprefix(HOLDING_NOTE)
+
+    @property
+    def fault(self) -> str:
+        """The fault that a robot's driver reports; empty for none."""
+        return self.detail.get(FAULT_DETAIL, "")
+
     def failure(self) -> RoboNeuronError | None:
         """The module's newest error as an exception of its own class; None without an error.
 
@@ -172,8 +186,10 @@ def to_text(value: str | float | int | bool) -> str:
 
 
 def _subclasses(base: type[RoboNeuronError]) -> dict[str, type[RoboNeuronError]]:
-    """All error classes by code, `base` and those of imported plugins included."""
+    """All error classes by code, `base` and those of imported plugins included. A class that
+    inherits its code stands behind its base, because its constructor may take other arguments.
+    """
     found = {base.code: base}
     for child in base.__subclasses__():
-        found.update(_subclasses(child))
+        found = _subclasses(child) | found
     return found

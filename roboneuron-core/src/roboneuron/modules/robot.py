@@ -17,10 +17,11 @@ from roboneuron.config import LimitsConfig
 from roboneuron.contract import JointCommand, LookaheadDriver, RobotDriver, RobotState
 from roboneuron.errors import NotReadyError, RefusedError
 from roboneuron.gate.motion import check_tighter
-from roboneuron.modules.command_guard import CommandGuard, joint_rules
+from roboneuron.modules.command_guard import CommandGuard
+from roboneuron.modules.last_command import LastCommand
 from roboneuron.modules.module_host import LimitedModule, ModuleHost
 from roboneuron.modules.plugin import build, load_profile
-from roboneuron.modules.settings import FAULT_DETAIL, NEEDS_NEW_START
+from roboneuron.modules.settings import FAULT_DETAIL, HOLDING_NOTE, NEEDS_NEW_START
 from roboneuron.modules.worker import LIMIT_S, Worker
 from roboneuron.planning import find_robot
 from roboneuron.ros.host import NodeTopics
@@ -31,13 +32,17 @@ _DETAIL_PERIOD_S = 0.1
 """Period of the robot's facts in the status, much lower than the rate of states (up to 1000 Hz)."""
 _IDLE_S = 0.05
 """Longest wait for a command; bounds the error of `command_timeout_s`."""
+_LOADING_S, _CHECK_S = 60.0, 5.0
+"""Longest time for the first step of the path check, which loads libraries and meshes, and for the
+way to one point.
+"""
 _MOST_BEHIND_S = 0.05
 """States that are later than this are skipped, so that no burst of outdated states is published."""
 
 
 class RobotModule(LimitedModule):
-    """Two threads beside the executor: one publishes measured states, one plays trajectories point
-    by point.
+    """Three threads beside the executor: one publishes measured states, one plays trajectories
+    point by point, one checks long paths before they are played.
 
     The executor handles commands and stops. It replaces the plan under the condition `_arrived`.
     The playing thread takes one point after the other from it, and sends outside the lock, so that
@@ -69,15 +74,16 @@ class RobotModule(LimitedModule):
         # rest of the newest trajectory, and the time of its next point [monotonic s]
         self._pending: list[JointCommand] = []
         self._due_s = 0.0
-        # guards these two
+        # newest command whose path is being checked, and its topic
+        self._unchecked: tuple[list[JointCommand], str] | None = None
+        # guards these three
         self._arrived = threading.Condition()
-        self._moving = False
-        self._command_s = 0.0
         self.on_sent: list[Callable[[JointCommand], None]] = []
         self.on_state: list[Callable[[RobotState | None], None]] = []
         section = self.config.robot
         _, spec = find_robot(self.registry, section.name, section.driver)
         self.profile = load_profile(self.registry, section.name)
+        self._last = LastCommand(self.profile.kinds, section.command_timeout_s)
         self._topics = NodeTopics(node, accepts=lambda: self._active and not self.why_stopped())
         node.resources.callback(self._topics.close)
         self.driver = cast(
@@ -93,7 +99,9 @@ class RobotModule(LimitedModule):
         node.subscribe(JointState, JOINT_COMMAND, self._on_command)
         self._reader = Worker("robot-state", self._publish_state, self.status)
         self._player = Worker("robot-command", self._play, self.status)
+        self._checker = Worker("robot-path", self._check_long, self.status, limit_s=_LOADING_S)
         node.resources.callback(self._reader.stop)
+        node.resources.callback(self._checker.stop)
         node.resources.callback(self._player.stop)
         self.status.set_value("driver", spec.name)
 
@@ -104,6 +112,7 @@ class RobotModule(LimitedModule):
         self._active = True
         self._reader.start()
         self._player.start()
+        self._checker.start()
 
     def deactivate(self) -> None:
         """Hold, then stop publishing.
@@ -113,6 +122,7 @@ class RobotModule(LimitedModule):
         """
         self._active = False
         self._drop_plan()
+        self._checker.stop()
         # first: a command that is being sent now must not come after the hold
         player_ended = self._player.stop()
         self._hold()
@@ -125,14 +135,15 @@ class RobotModule(LimitedModule):
         """
         # in this order, because a pending command would follow the hold
         self._drop_plan()
+        self._guard.revoke_claim()
         if code != NEEDS_NEW_START:
-            self.status.set(note=f"holding: {self.node.needs_start}")
+            self.status.set(note=f"{HOLDING_NOTE}{self.node.needs_start}")
             self._hold()
 
     def use_limits(self, limits: LimitsConfig) -> None:
         """See `LimitedModule.use_limits`."""
         self.check_limits(limits)
-        self._guard.limits.use(joint_rules(limits))
+        self._guard.use(limits)
 
     def check_limits(self, limits: LimitsConfig) -> None:
         """See `LimitedModule.check_limits`."""
@@ -146,8 +157,8 @@ class RobotModule(LimitedModule):
     def _drop_plan(self) -> None:
         with self._arrived:
             # a new list: the playing thread sees by its identity that its plan was replaced
-            self._pending = []
-            self._arrived.notify()
+            self._pending, self._unchecked = [], None
+            self._arrived.notify_all()
 
     def _on_command(self, message: JointTrajectory | JointState, info: dict[str, Any]) -> None:
         if not self._active:
@@ -157,10 +168,52 @@ class RobotModule(LimitedModule):
             return
         # by `source_timestamp`, the time of sending [ns]
         commands = self._guard.admit(message, int(info["source_timestamp"]))
-        if commands:
+        if not commands:
+            return
+        topic = JOINT_COMMAND if isinstance(message, JointState) else JOINT_TRAJECTORY
+        if not self._guard.is_short(commands):
             with self._arrived:
-                self._pending, self._due_s = commands, time.monotonic()
-                self._arrived.notify()
+                self._unchecked = commands, topic
+                self._arrived.notify_all()
+        elif limited := self._guard.limit_path(commands, topic):
+            with self._arrived:
+                self._accept(limited)
+
+    def _accept(self, commands: list[JointCommand]) -> None:
+        """Replace the plan; called under `_arrived`."""
+        self._unchecked = None
+        self._pending, self._due_s = commands, time.monotonic()
+        self._arrived.notify_all()
+
+    def _check_long(self, stop: threading.Event) -> None:
+        """Check the path of a command that takes longer than the executor may be kept from a stop;
+        a newer command that is accepted, or a stop, replaces it.
+
+        The first step loads what the check needs: a start need not wait for that.
+        """
+        if self._guard.is_loading:
+            self._guard.load_paths(self.registry)
+            self._checker.limit_s = _CHECK_S
+        with self._arrived:
+            self._arrived.wait_for(
+                lambda: self._unchecked is not None or stop.is_set(), timeout=_IDLE_S
+            )
+            asked = self._unchecked
+        if asked is None or stop.is_set():
+            return
+        commands, topic = asked
+
+        def is_current() -> bool:
+            self._checker.progress()
+            return self._unchecked is asked
+
+        limited = self._guard.limit_path(commands, topic, is_current)
+        with self._arrived:
+            if self._unchecked is not asked:
+                return
+            self._unchecked = None
+            if limited and not self.why_stopped():
+                self._accept(limited)
 
     def _play(self, stop: threading.Event) -> None:
         """Send the next pending command; a newer trajectory replaces the rest of the older one.
@@ -210,7 +263,7 @@ class RobotModule(LimitedModule):
             return
         for note in self.on_sent:
             note(sent)
-        self._moving, self._command_s = True, time.monotonic() + sent.duration_s
+        self._last.note_sent(sent, time.monotonic())
         self.status.clear_error()
         self.status.set(note="moving")
         # a slow motion is not a hang
@@ -257,14 +310,10 @@ class RobotModule(LimitedModule):
         return self.driver.send(command)
 
     def _hold_when_silent(self) -> None:
-        """Hold once when no command has come for `command_timeout_s`."""
-        if (
-            self._moving
-            and time.monotonic() - self._command_s > self.config.robot.command_timeout_s
-        ):
+        """Hold once when commands have ceased."""
+        if self._last.has_ceased(time.monotonic()):
             self._hold()
-            self._moving = False
-            self.status.set(note="holding: no command")
+            self.status.set(note=f"{HOLDING_NOTE}no command")
 
     def _publish_state(self, stop: threading.Event) -> None:
         """Publish one state when it is due, on a fixed time grid, so that the mean rate is
@@ -280,7 +329,8 @@ class RobotModule(LimitedModule):
         try:
             state = self.driver.read()
         except Exception:
-            self._guard.limits.measure(None)
+            self._last.measure(None)
+            self._guard.measure(None)
             # the state at the last publication may be outdated
             self.status.forget_details()
             for tell in self.on_state:
@@ -289,7 +339,8 @@ class RobotModule(LimitedModule):
             raise
         # first of all: control waits for it
         self._states.publish(to_joint_state(state.joints))
-        self._guard.limits.measure(state.joints)
+        self._last.measure(state.joints)
+        self._guard.measure(state.joints)
         self.status.output.tick()
         self.status.set_ready()
         self._check_fault(state.detail.get(FAULT_DETAIL, ""))

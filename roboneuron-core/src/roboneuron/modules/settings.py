@@ -40,12 +40,20 @@ REFUSED_COMMAND = "refused"
 """Value of the robot module's status: the newest joint command that was not executed, with the
 reason and the foreign nodes that may have sent it.
 """
+PLACES_CHECKED, PLACES_UNCHECKED = "places_checked", "places_unchecked"
+"""Values of the robot module's status: whether places on the way of joint commands are checked, and
+if not, why, with what to do.
+"""
+COLLISION_CHECKED = "collision_checked"
+"""Value of control's status: whether distances between links are checked."""
 EMERGENCY_STOP_TOPIC = "emergency_stop"
 """std_msgs/Bool under the robot's namespace, reliable and transient local: True latches, False
 releases.
 """
 FUTURE_S = 0.1
 """Tolerated lead of another machine's clock over this one."""
+HOLDING_NOTE = "holding: "
+"""Beginning of the status note of a module that holds the robot; the reason follows."""
 FOLLOWING_NOTE = "following actions"
 """Control's status note from an action until the next hold; a hold replaces commands that other
 nodes have sent to the joints.

@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+import json
+import re
+import shlex
 import sys
 import tomllib
 from collections.abc import Iterable
+from importlib.metadata import PackageNotFoundError, distribution
 from importlib.resources import files
 from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote, urlsplit
 
 from roboneuron.plugins.specs import Requirement
 
@@ -50,12 +57,42 @@ def explain(absent: Iterable[Requirement]) -> str:
     modules = ", ".join(
         " or ".join(f"'{name}'" for name in (r.module, *r.alternatives)) for r in parts
     )
-    return (
-        f"Needs {modules}, not installed; run: "
-        f"{'; '.join(dict.fromkeys(part.install for part in parts))}"
-    )
+    return f"Needs {modules}, not installed; run: {install_of(parts)}"
 
 
+def install_of(absent: Iterable[Requirement]) -> str:
+    """The commands that provide absent modules, each once, as this installation can run them."""
+    return "; ".join(dict.fromkeys(_fitted(part.install) for part in absent))
+
+
+def _fitted(command: str) -> str:
+    """A command that names packages by their source folder; of an installation from wheels, which
+    may have no such folder, the one that names the wheels.
+    """
+    packages = _FOLDER.findall(command)
+    if not packages or is_from_source():
+        return command
+    return install_command(*packages)
+
+
+def is_from_source() -> bool:
+    """True if this installation was made from a source folder, not from wheels. Source: PEP 610."""
+    return "dir_info" in _direct_url()
+
+
+def _direct_url() -> dict[str, Any]:
+    try:
+        text = distribution(CORE).read_text("direct_url.json")
+    # without metadata, the code runs from its source folder
+    except PackageNotFoundError:
+        return {"dir_info": {}}
+    # pip writes none for a wheel that it found itself, in a folder or on an index
+    found: dict[str, Any] = json.loads(text) if text else {}
+    return found
+
+
+CORE = "roboneuron-core"
+_FOLDER = re.compile(r"\./plugins/([a-z0-9-]+(?:\[[a-z0-9,-]+\])?)")
 WHOLE = "roboneuron"
 """The distribution that requires everything named in the embedded default configuration;
 requirements.txt installs it.
@@ -82,22 +119,33 @@ def known_names(kind: str = "") -> dict[str, str]:
 
 
 def install_command(*packages: str) -> str:
-    """The command that installs packages of the project and their dependencies from its source
-    folder; without arguments, those named in the embedded default configuration.
+    """The command that installs packages of the project and their dependencies, from its source
+    folder or from wheels as this installation was made; without arguments, those named in the
+    embedded default configuration.
     """
     packages = packages or (WHOLE,)
+    if not is_from_source():
+        return _from_wheels(packages)
     needs = _table()["needs"]
     wanted = dict.fromkeys(packages)
     for package in packages:
         wanted |= dict.fromkeys(needs.get(package.partition("[")[0], ()))
     common = {WHOLE, *needs[WHOLE]}
     words = ["-r requirements.txt"] if common & set(wanted) else []
-    words += [
-        f'"./plugins/{name}"' if "[" in name else f"./plugins/{name}"
-        for name in wanted
-        if name not in common
-    ]
+    for name in wanted:
+        if name not in common:
+            folder = f"./{name}" if name == CORE else f"./plugins/{name}"
+            words.append(f'"{folder}"' if "[" in name else folder)
     return f"pip install {' '.join(words)} (in RoboNeuron's source folder)"
+
+
+def _from_wheels(packages: Iterable[str]) -> str:
+    file = Path(unquote(urlsplit(_direct_url().get("url", "")).path))
+    words = " ".join(f'"{name}"' if "[" in name else name for name in packages)
+    # the packages are on no index: without the folder, pip would take what others put there
+    if file.suffix == ".whl" and file.parent.is_dir():
+        return f"pip install --find-links {shlex.quote(str(file.parent))} {words}"
+    return f"pip install --find-links WHEELS {words} (WHEELS: the folder of RoboNeuron's wheels)"
 
 
 def _table() -> dict[str, dict[str, str]]:

@@ -11,7 +11,14 @@ from types import NoneType, UnionType
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
 from roboneuron.errors import PluginError, shortened
-from roboneuron.plugins.specs import FeatureSpec, Loadable, RobotSpec, Spec
+from roboneuron.plugins.specs import (
+    VERB_ENDS,
+    BackendSpec,
+    FeatureSpec,
+    Loadable,
+    RobotSpec,
+    Spec,
+)
 
 NAME_PATTERN = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
 """Names of offers and drivers: lower-case letters and digits, single hyphens between them."""
@@ -64,6 +71,8 @@ def check_spec(spec: object, expected: type[Spec]) -> Spec:
         _check_robot(spec, who)
     if isinstance(spec, FeatureSpec):
         _check_feature(spec, who)
+    if isinstance(spec, BackendSpec):
+        _check_verbs(spec, who)
     return spec
 
 
@@ -109,6 +118,18 @@ def _check_feature(spec: FeatureSpec, who: str) -> None:
             KEY_PATTERN.fullmatch(key) is not None,
             f"The section {key!r} of {who} is malformed, expected lower-case letters, digits "
             "and _.",
+        )
+
+
+def _check_verbs(spec: BackendSpec, who: str) -> None:
+    for verb in spec.verbs:
+        _require(
+            verb.achieves in VERB_ENDS,
+            f"A verb of {who} achieves {verb.achieves!r}, expected one of {', '.join(VERB_ENDS)}.",
+        )
+        _require(
+            bool(verb.words) and all(word and word == word.lower() for word in verb.words),
+            f"A verb of {who} has the words {verb.words!r}, expected lower-case words.",
         )
 
 

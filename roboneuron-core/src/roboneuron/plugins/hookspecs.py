@@ -23,6 +23,7 @@ from roboneuron.plugins.specs import (
     CommandSpec,
     ControllerSpec,
     FeatureSpec,
+    LocatorSpec,
     PerceptionSpec,
     RobotSpec,
     RuntimeSpec,
@@ -89,6 +90,15 @@ def roboneuron_robots() -> Sequence[RobotSpec]:  # type: ignore[empty-body]
     `target` is a function without arguments that returns the `RobotProfile`; each driver's `target`
     follows the protocol `RobotDriver` and is built as `target(config, profile, topics)` in the
     robot module, in a separate process.
+    """
+
+
+@hookspec
+def roboneuron_locators() -> Sequence[LocatorSpec]:  # type: ignore[empty-body]
+    """Offer finders of objects: calibrated pictures to places in the base frame.
+
+    `target` follows the protocol `Locator`; it is built as `target(config)` in the server.
+    `[sight] locator` of the configuration names the one in use.
     """
 
 

@@ -41,7 +41,7 @@ def load_target(spec: Loadable) -> object:
     if absent:
         raise MissingDependencyError(
             f"{spec.name!r} needs {', '.join(repr(r.module) for r in absent)}, not installed.",
-            hint=f"Run: {'; '.join(dict.fromkeys(r.install for r in absent))}",
+            hint=f"Run: {availability.install_of(absent)}",
         )
     return load_attribute(spec.target, f"`target` of {spec.name!r}")
 

@@ -48,6 +48,31 @@ class ActionSpace:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class Verb:
+    """A kind of instruction that a policy follows, and when it is carried out: tasks judge it by
+    themselves.
+
+    Attributes:
+        words: lower-case words of which any asks for it, such as "pick" or "grasp".
+        achieves: one of `VERB_ENDS`.
+    """
+
+    words: tuple[str, ...]
+    achieves: str
+
+
+VERB_ENDS = ("lifted", "on")
+"""Values of `Verb.achieves`. lifted: the hand holds the object that is named, above where it lay;
+on: the first object lies on the one named after "on", let go.
+"""
+PICK_AND_PLACE = (
+    Verb(words=("pick", "grasp", "grab", "lift"), achieves="lifted"),
+    Verb(words=("put", "place", "stack", "set"), achieves="on"),
+)
+"""Verbs of a model that was trained on instructions in English to manipulate objects."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class Loadable:
     """Base of descriptors: a name and a loadable target.
 
@@ -110,6 +135,8 @@ class BackendSpec(Spec):
             profile, before anything heavy is imported. It may read small files of the checkpoint,
             and returns None if only the loaded backend knows the space (`served_spec`). None for
             `ee_delta` always.
+        verbs: instructions whose end a task judges by itself. Empty: a caller has to say when a
+            task is done.
     """
 
     kind: ClassVar[str] = "backend"
@@ -127,6 +154,7 @@ class BackendSpec(Spec):
     max_committed_rows: int = 0
     takes_predicted_state: bool = False
     space: str | None = None
+    verbs: tuple[Verb, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -190,6 +218,28 @@ class ControllerSpec(Spec):
 
     robot_kinds: tuple[str, ...] = ("arm",)
     spaces: tuple[str, ...] = ("ee_delta",)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class LocatorSpec(Spec):
+    """A finder of objects in calibrated pictures.
+
+    Attributes:
+        needs_depth: it works on pictures with depth only.
+        limit_s: longest time of one answer for two pictures of 640 x 480 [s].
+        takes_labels: its target is a `LabelLocator`.
+        own_process: it is built, loaded and used in a process of its own, which is ended when an
+            answer takes longer than `limit_s`: for heavy imports and native code.
+        load_s: longest time that it loads there [s].
+    """
+
+    kind: ClassVar[str] = "locator"
+
+    needs_depth: bool = False
+    limit_s: float = 1.0
+    takes_labels: bool = False
+    own_process: bool = False
+    load_s: float = 180.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -317,6 +367,7 @@ PLUGIN_KINDS: dict[str, type[Spec]] = {
         PerceptionSpec,
         ControllerSpec,
         RobotSpec,
+        LocatorSpec,
         FeatureSpec,
         CommandSpec,
     )

@@ -15,6 +15,13 @@ _UNNAMED = "_NODE_NAME_UNKNOWN_"
 """rcl calls the node of an endpoint so that was discovered before its node."""
 
 
+def server_node(pid: int) -> str:
+    """Name of a server's node, by its process; in `header.frame_id` of a joint command it says that
+    this server or its control has sent it, because ROS does not tell who sends a message.
+    """
+    return f"roboneuron_server_{pid}"
+
+
 def foreign_names(found: Iterable[TopicEndpointInfo], own: Iterable[str] = ()) -> list[str]:
     """Sorted names of the nodes of these endpoints, other than the server that has started this
     process; unnamed ones are left out.
@@ -28,7 +35,7 @@ def foreign_names(found: Iterable[TopicEndpointInfo], own: Iterable[str] = ()) -
         for info in found
         if info.node_name != _UNNAMED
     }
-    return sorted(names - {f"/roboneuron_server_{os.getppid()}", *own})
+    return sorted(names - {f"/{server_node(os.getppid())}", *own})
 
 
 @dataclass(frozen=True, slots=True)

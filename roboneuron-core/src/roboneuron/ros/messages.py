@@ -6,11 +6,12 @@ from __future__ import annotations
 
 import array
 from dataclasses import dataclass
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from builtin_interfaces.msg import Duration, Time
 from geometry_msgs.msg import PoseStamped
+from numpy.typing import NDArray
 from sensor_msgs.msg import CameraInfo, Image, JointState
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
@@ -86,12 +87,22 @@ def to_ns(stamp: Time) -> int:
 
 def to_image(frame: Frame) -> Image:
     """Frame -> sensor_msgs/Image, rgb8. One copy of the pixels (0.1 ms at 640x480)."""
-    height, width = frame.image.shape[:2]
-    message = Image(height=height, width=width, encoding="rgb8", is_bigendian=0, step=3 * width)
+    return _image(frame, frame.image, "rgb8")
+
+
+def to_depth_image(frame: Frame, depth_m: NDArray[np.float32]) -> Image:
+    """Depth of a frame -> sensor_msgs/Image, 32FC1 [m], with the stamp of the image."""
+    return _image(frame, depth_m.astype("<f4", copy=False), "32FC1")
+
+
+def _image(frame: Frame, pixels: NDArray[Any], encoding: str) -> Image:
+    height, width = pixels.shape[:2]
+    step = pixels.nbytes // height
+    message = Image(height=height, width=width, encoding=encoding, is_bigendian=0, step=step)
     message.header.stamp = to_time(frame.stamp_ns)
     message.header.frame_id = frame.frame_id
     data = array.array("B")
-    data.frombytes(np.ascontiguousarray(frame.image).data.cast("B"))
+    data.frombytes(np.ascontiguousarray(pixels).data.cast("B"))
     message.data = data
     return message
 

@@ -60,7 +60,7 @@ def large_qos(depth: int) -> QoSProfile:
     for ever to read it, with the interpreter's lock held. Best-effort readers ignore GAPs.
 
     Source: Fast DDS 2.14.5, StatefulReader::processGapMsg, DataReaderHistory::remove_change_sub,
-    StatelessReader::processDataFragMsg; benchmarks/image_hangs.py.
+    StatelessReader::processDataFragMsg.
     """
     return QoSProfile(
         history=HistoryPolicy.KEEP_LAST, depth=depth, reliability=ReliabilityPolicy.BEST_EFFORT

@@ -10,7 +10,7 @@ EE_POSE = "ee_pose"
 """geometry_msgs/PoseStamped, from control: the measured TCP in the base frame."""
 PREDICTIONS = "predictions"
 """std_msgs/String: description of each prediction by a feature, see
-`InferenceModule.on_prediction`.
+`StepFilter.note_answer`.
 """
 JOINT_TRAJECTORY = "joint_trajectory"
 """trajectory_msgs/JointTrajectory, to the robot."""
@@ -39,8 +39,16 @@ def camera_info(name: str) -> str:
     return f"camera/{name}/camera_info"
 
 
+def camera_depth(name: str) -> str:
+    """Depth topic of a camera, for sources that measure it: one message for each image, with its
+    stamp; 32FC1 [m].
+    """
+    return f"camera/{name}/depth"
+
+
+_OF_CAMERAS = (camera_image, camera_info, camera_depth)
 _WRITTEN = re.compile(
     "|".join(
-        (ACTION, JOINT_STATES, EE_POSE, PREDICTIONS, camera_image("[^/]+"), camera_info("[^/]+"))
+        (ACTION, JOINT_STATES, EE_POSE, PREDICTIONS, *(topic("[^/]+") for topic in _OF_CAMERAS))
     )
 )

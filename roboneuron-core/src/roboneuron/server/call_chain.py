@@ -82,6 +82,7 @@ class CallChain:
     Attributes:
         steps: all interceptors, in the order in which calls pass them.
         ready: awaited in the phase READINESS; None when there is nothing to wait for.
+        running: calls that work now, in the order of their begin; changed on the event loop only.
     """
 
     def __init__(
@@ -97,6 +98,7 @@ class CallChain:
         self._find, self._names = find, names
         self._most_calls = most_calls
         self._calls: Counter[str] = Counter()
+        self.running: dict[int, IncomingCall] = {}
         self._on_begin, self._on_end = on_begin, on_end
         self._acts_on = acts_on
         self._simulator: Simulator | None = None
@@ -286,6 +288,7 @@ class CallChain:
     async def _count(self, call: IncomingCall, proceed: Proceed) -> Answer:
         role = call.context.role
         self._calls[role] += 1
+        self.running[id(call)] = call
         try:
             if self._calls[role] > self._most_calls and not call.tool.always:
                 raise NotReadyError(
@@ -297,6 +300,7 @@ class CallChain:
             return await proceed(call)
         finally:
             self._calls[role] -= 1
+            del self.running[id(call)]
 
     def _parse(self, call: IncomingCall) -> IncomingCall:
         assert call.found is not None

@@ -5,7 +5,7 @@ isolated from each other's faults.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
@@ -16,12 +16,14 @@ from roboneuron.plugins.registry import Registry
 from roboneuron.plugins.specs import FeatureSpec
 
 if TYPE_CHECKING:
+    from roboneuron.gate import StillReason
+    from roboneuron.server.clock import RobotClock
     from roboneuron.server.host import Host
     from roboneuron.server.interception import Interceptor, Simulator
     from roboneuron.server.loop import StartForm
     from roboneuron.server.motion_gate import MotionGate
     from roboneuron.server.registry import ToolRegistry
-    from roboneuron.server.tool import Resource, Tool, Transport
+    from roboneuron.server.tool import CallContext, Resource, Tool, Transport
 
 log = logging.getLogger(__name__)
 OptionsT = TypeVar("OptionsT")
@@ -66,6 +68,21 @@ class Feature(Generic[OptionsT]):
     def omitted(self) -> Sequence[str]:
         """What of its configuration cannot be used and is left out, a sentence each; for `config
         check` and get_status. From any thread.
+        """
+        return ()
+
+    def clock(self, namespace: str) -> RobotClock | None:
+        """Time of the robot in that namespace, if it is not the real one; at most one feature
+        offers it. From any thread.
+        """
+        return None
+
+    def still_reasons(self, asker: CallContext | None) -> Iterable[StillReason]:
+        """Why the robot does not move, by this feature, see `Host.why_still`; must not block. From
+        any thread.
+
+        Args:
+            asker: the client; None for the reasons that hold for every client.
         """
         return ()
 
@@ -192,6 +209,16 @@ class Features:
     def omitted(self) -> list[str]:
         """What of the configuration all features leave out, a sentence each."""
         return [reason for feature in self.loaded.values() for reason in feature.omitted]
+
+    def still_reasons(self, asker: CallContext | None) -> list[StillReason]:
+        """Why the robot does not move, by all features, see `Feature.still_reasons`."""
+        reasons: list[StillReason] = []
+        for name, feature in self.loaded.items():
+            try:
+                reasons += feature.still_reasons(asker)
+            except Exception:  # the border to a plugin's own code; the others give theirs
+                log.exception("The feature %r could not say why the robot does not move.", name)
+        return reasons
 
     def listen(self, host: Host) -> Transport:
         """Let every feature reserve its resources, and the one of the configured transport listen.

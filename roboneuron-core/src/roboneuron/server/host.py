@@ -12,9 +12,12 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from roboneuron.contract import check_topic
 from roboneuron.errors import ConfigurationError, StateError
+from roboneuron.gate import Role, StillReason
+from roboneuron.gate.stillness import in_order
+from roboneuron.modules.settings import MODULE_KINDS
 from roboneuron.moved import Moved
-from roboneuron.plugins.availability import install_command, package_of
 from roboneuron.ros.graph import RosGraph
+from roboneuron.server.clock import RobotClock
 from roboneuron.supervisor.changes import Event
 
 if TYPE_CHECKING:
@@ -29,6 +32,7 @@ if TYPE_CHECKING:
     from roboneuron.server.motion_gate import MotionGate
     from roboneuron.server.registry import ToolRegistry
     from roboneuron.server.surface import AnnouncingServer
+    from roboneuron.server.tool import CallContext
     from roboneuron.supervisor.health import Health, Modules, ModuleView
 
 
@@ -149,11 +153,9 @@ class Host:
             if (gate := feature.gate) is not None
         }
         if not gates:
-            package = package_of("feature", "direct-path")
             raise StateError(
                 "No feature sends messages for others here.",
-                hint="The feature 'direct-path' does. If it is not installed: "
-                f"{install_command(package or '')}.",
+                hint="The plugin 'rn-direct-path' does; remove it from disabled_plugins.",
             )
         if len(gates) > 1:
             raise ConfigurationError(
@@ -177,6 +179,62 @@ class Host:
         if text and self.modules.view("inference").phase in ("starting", "running"):
             found.append(f"the policy with the instruction {text!r}")
         return tuple(found)
+
+    def clock(self, namespace: str) -> RobotClock:
+        """Time of the robot in that namespace, as its tools follow it: the real one, unless a
+        feature gives another one.
+
+        Raises:
+            ConfigurationError: two features give one.
+        """
+        clocks = {
+            name: clock
+            for name, feature in self.features.loaded.items()
+            if (clock := feature.clock(namespace)) is not None
+        }
+        if len(clocks) > 1:
+            raise ConfigurationError(
+                f"The features {' and '.join(map(repr, sorted(clocks)))} each give a clock for "
+                f"{namespace!r}; a robot has one.",
+                hint="Name the plugin of one of them in disabled_plugins.",
+            )
+        return next(iter(clocks.values()), RobotClock())
+
+    def why_still(self, asker: CallContext | None = None) -> tuple[StillReason, ...]:
+        """Why the robot does not move, in the order in which to remove the reasons; empty if it
+        would move when asked to. Does not block; from any thread.
+
+        Args:
+            asker: the client that would move it; None for the reasons that hold for every client.
+        """
+        loop, motions = self.loop, self.motions
+        # a policy needs every module; a tool only the robot
+        needed = MODULE_KINDS if loop.starts.instruction else ("robot",)
+        reasons = [
+            loop.emergency_stop.still_reason(),
+            self.audit.failure,
+            *self.modules.still_reasons(needed),
+            self._hold() if motions else None,
+            loop.starts.still_reason(),
+            *self.features.still_reasons(asker),
+            None if asker is None else Role.OPERATOR.still_reason(asker.who, asker.role),
+        ]
+        return in_order(reasons)
+
+    def _hold(self) -> StillReason | None:
+        """Why control holds the arm although something moves it; None if it does not."""
+        view = self.modules.view("control")
+        if view.phase != "running" or view.report is None:
+            return None
+        code, reason = view.report.held
+        if not code:
+            return None
+        return StillReason(
+            rank="hold",
+            rule=code,
+            message=f"Control holds the arm: {reason}",
+            hint="It follows the next command that is within the limits.",
+        )
 
     @property
     def identifies_clients(self) -> bool:

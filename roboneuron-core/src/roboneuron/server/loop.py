@@ -15,7 +15,7 @@ from roboneuron.config import Config, LimitsConfig
 from roboneuron.errors import InternalError, StateError
 from roboneuron.estop.emergency import EmergencyStop
 from roboneuron.estop.motion_starts import MotionStarts
-from roboneuron.modules.plugin import unchecked_distances
+from roboneuron.modules.arm_paths import UncheckedPaths
 from roboneuron.modules.settings import EMERGENCY_STOP, MODULE_KINDS, ModuleKind
 from roboneuron.moved import Moved
 from roboneuron.planning import KIND_ENTRIES, Plan
@@ -129,7 +129,7 @@ class ClosedLoop:
         self.base = config
         self._plugins = plugins
         self._known: Registry | None = None
-        self._unchecked: tuple[tuple[str, bool] | None, str] = None, ""
+        self._unchecked = UncheckedPaths()
         self._supervisor = supervisor
         self.modules: Modules = supervisor
         self.emergency_stop = EmergencyStop(supervisor)
@@ -177,18 +177,13 @@ class ClosedLoop:
         return RobotFacts(name=robot.name, driver=robot.driver, kind=kind)
 
     @property
-    def unchecked_distances(self) -> str:
-        """Why the distances between the links of the present robot are not checked, and what to do;
-        empty if they are.
+    def unchecked(self) -> str:
+        """Why places or distances between the links of the present robot are not checked, and what
+        to do; empty if they are.
         """
-        report = self.modules.view("control").report
-        are_told = report is None or report.metrics.get("collision_checked") != "false"
-        config = self.config
-        key = (config.robot.name, are_told)
-        if self._unchecked[0] != key:  # the page asks several times a second
-            registry = self._known or self.registry
-            self._unchecked = key, unchecked_distances(config, registry, are_told=are_told)
-        return self._unchecked[1]
+        reports = [self.modules.view(kind).report for kind in ("robot", "control")]
+        metrics = [None if report is None else report.metrics for report in reports]
+        return self._unchecked.why(self.config, self._known or self.registry, *metrics)
 
     def takes_policies(self) -> bool:
         """True if any policy could move the present robot; also for a robot whose plugin is

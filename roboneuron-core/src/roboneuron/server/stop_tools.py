@@ -25,10 +25,17 @@ class StopResult(Stopped, Result):
     )
 
 
+FIRST_STATE = (
+    "The robot is simulated: each start of it sets the arm and the table as they were at first. "
+    "Tightened limits stay."
+)
+
+
 class StopAllResult(Result):
     """Everything that was stopped, in that order; empty if nothing ran."""
 
     stopped: list[StopResult]
+    note: str = Field(default="", description="what the next start changes")
 
 
 class EmergencyStopResult(Result):
@@ -87,10 +94,11 @@ def _stop_tool(
 
 def _stop_all(loop: ClosedLoop) -> Tool[Any]:
     async def handler(_: NoArguments, context: CallContext) -> StopAllResult:
+        is_simulated = loop.robot_facts.kind == "simulated"
+        stopped = await context.run(lambda _: loop.stop_all())
         return StopAllResult(
-            stopped=[
-                StopResult(**dict(one)) for one in await context.run(lambda _: loop.stop_all())
-            ]
+            stopped=[StopResult(**dict(one)) for one in stopped],
+            note=FIRST_STATE if is_simulated and stopped else "",
         )
 
     return Tool(

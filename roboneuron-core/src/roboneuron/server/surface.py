@@ -206,7 +206,8 @@ _INSTRUCTIONS = {
     "start_robot": "By single steps: start_robot, start_perception, start_control, "
     "start_inference, then "
     "set_instruction, which returns when the robot begins to move.",
-    "get_camera_image": "get_camera_image shows what is there.",
+    "get_camera_image": "look shows what is there, get_camera_image one whole picture. Tools that "
+    "are named but not listed are called by find_tools and call_tool.",
     "get_status": "get_status tells how everything is.",
     "stop_inference": "stop_inference ends the policy's motion, stop_all everything. "
     "emergency_stop is for danger: "

@@ -236,13 +236,7 @@ class Tool(Generic[A]):
 
     def check_caller(self, context: CallContext) -> None:
         """Raise RefusedError, which names the roles, unless the caller may call it."""
-        if not self.least_role.is_held_by(context.role):
-            raise RefusedError(
-                f"{self.name} needs the role '{self.least_role}'; {context.who} has "
-                f"{context.role or 'none'!r}.",
-                hint="Use a token with that role, or ask a person who has one.",
-                rule="role",
-            )
+        self.least_role.check(context.who, context.role, self.name)
 
     def input_schema(self) -> JsonSchemaValue:
         """The JSON schema of the arguments, with current choices."""

@@ -4,8 +4,9 @@ are rarely needed or too many.
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Any
 
 from pydantic import Field
@@ -80,10 +81,9 @@ def search_tools(hidden: Callable[[str], Sequence[Tool[Any]]]) -> list[Tool[Any]
         Tool(
             name=FIND_TOOLS,
             title="Find further tools",
-            description="Find tools that are not in this list, by words: what is installed and can "
-            "be chosen (list_*), logs, topics, nodes and interfaces, replacing a running policy, "
-            "camera or controller (switch_*), sequences of messages. Call what you find with "
-            "call_tool.",
+            description="Find tools that are not in this list, by words: what is installed "
+            "(list_*), logs, topics, nodes and interfaces, replacing a running policy, camera or "
+            "controller (switch_*), sequences. Call what you find with call_tool.",
             arguments=FindTools,
             result=FoundTools,
             handler=find,
@@ -113,24 +113,33 @@ def nearest_tools(tools: Sequence[Tool[Any]], name: str) -> str:
     return f"Nearest: {', '.join(near)}." if near else f"See {FIND_TOOLS}."
 
 
-def _words(text: str) -> list[str]:
-    return [word for word in re.split(r"[^a-z0-9]+", text.lower()) if word]
+def _words(text: str) -> set[str]:
+    """Words of three letters or more, each as it is and in the singular."""
+    found = re.findall(r"[a-z0-9]{3,}", text.lower())
+    return {form for word in found for form in (word, word.removesuffix("s"))}
 
 
-def _rank(tools: Sequence[Tool[Any]], words: Sequence[str]) -> list[Tool[Any]]:
-    """Sort tools by the number of matching words, in the name before the description; all of them
-    without words.
+def _rank(tools: Sequence[Tool[Any]], words: Collection[str]) -> list[Tool[Any]]:
+    """Sort tools by the words that they share with the query, in the name before the description;
+    a word that few tools have counts more. All of them without words.
     """
     if not words:
         return list(tools)
+    named = [_words(tool.name) for tool in tools]
+    told = [_words(f"{tool.title} {tool.description}") for tool in tools]
+    shares = [name | text for name, text in zip(named, told, strict=True)]
+    weights = {
+        word: math.log(1.0 + len(tools) / count)
+        for word in words
+        if (count := sum(word in share for share in shares))
+    }
     scored = []
-    for index, tool in enumerate(tools):
-        name, text = tool.name, f"{tool.title} {tool.description}".lower()
+    for index, (tool, name, text) in enumerate(zip(tools, named, told, strict=True)):
         score = sum(
-            3 * (word in name.split("_")) + 2 * (word in name) + (word in text) for word in words
+            weight * (3 * (word in name) + (word in text)) for word, weight in weights.items()
         )
         if score:
-            scored.append((-score, len(name), index, tool))
+            scored.append((-score, len(tool.name), index, tool))
     return [tool for *_, tool in sorted(scored, key=lambda entry: entry[:3])]
 
 

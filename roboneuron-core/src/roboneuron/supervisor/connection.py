@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 from roboneuron.errors import NotReadyError, StateError
 from roboneuron.ros.environment import prepare_environment
+from roboneuron.ros.graph import server_node
 from roboneuron.ros.topics import DIAGNOSTICS
 
 if TYPE_CHECKING:
@@ -94,7 +95,7 @@ class Connection:
 
             from roboneuron.ros.link import RosLink  # heavy
 
-            link = RosLink(f"roboneuron_server_{os.getpid()}", _end_process)
+            link = RosLink(server_node(os.getpid()), _end_process)
             link.open()
             link.subscribe(DiagnosticArray, DIAGNOSTICS, self._on_status)
         except BaseException as error:  # raised again in `link`

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -14,12 +14,13 @@ from typing import TYPE_CHECKING, Literal
 from pydantic import BaseModel, ConfigDict, Field, SkipValidation
 
 from roboneuron.config import LimitsConfig, ModuleSettings
+from roboneuron.gate import StillReason
 from roboneuron.modules.report import Report
 from roboneuron.modules.settings import MODULE_KINDS, ModuleKind
 from roboneuron.planning import Plan
 from roboneuron.supervisor.changes import Changes, Periodic
 from roboneuron.supervisor.process import ModuleProcess, ProcessEvents
-from roboneuron.supervisor.slot import Phase, Slot, describe_exit
+from roboneuron.supervisor.slot import Phase, Slot, describe_exit, not_running
 
 if TYPE_CHECKING:
     from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -70,6 +71,16 @@ EXPLANATIONS: dict[Health, str] = {
     "silent": "alive, but not reporting",
     "exited": "its process ended by itself",
 }
+_ADVICE: dict[str, str] = {
+    "silent": "If it lasts, stop the module and start it again. The machine may be overloaded.",
+    "stuck": "Stop the module and start it again.",
+    "stalled": "See what it waits for, then stop it and start it again.",
+    "failing": "Do what the message says. The module continues once the cause is gone.",
+    "frozen": "Continue its process (kill -CONT), or start the module again.",
+    "waiting": "Wait for it, or see to what is missing.",
+    "fault": "Look at the robot; recover_robot clears the fault where its driver can.",
+}
+"""What to do, by the health of a module or the rule of its reason."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -112,6 +123,33 @@ class ModuleView:
         if report.error_code:
             return "failing"
         return "ok" if report.ready else "waiting"
+
+    def still_reason(self, now_s: float) -> StillReason | None:
+        """Why nothing moves that needs the module; None if it works.
+
+        Args:
+            now_s: monotonic time [s].
+        """
+        if self.phase != "running":
+            return not_running(
+                self.kind, self.phase, self.process, f"Call start_{self.kind} first."
+            )
+        health, report = self.health(now_s), self.report
+        rule: str = health
+        message, hint = f"{self.kind} is {health}: {EXPLANATIONS[health]}.", ""
+        if loss := self.loss():
+            rule, message = "frozen", f"{self.kind} {loss}."
+        elif health in ("ok", "waiting", "failing") and report is not None and report.fault:
+            rule, message = "fault", f"The {self.kind} is stopped by a fault: {report.fault}."
+        elif health == "failing" and report is not None:
+            message, hint = f"{self.kind} reports: {report.error}", report.error_hint
+        elif health == "waiting" and report is not None and report.waiting_for:
+            message = f"{self.kind} waits for {report.waiting_for}."
+        elif health == "ok":
+            return None
+        return StillReason(
+            rank="module", rule=rule, message=message, hint=hint or _ADVICE.get(rule, "")
+        )
 
     def loss(self) -> str:
         """Return why motion cannot rely on the module any more, as the predicate of a sentence
@@ -234,6 +272,18 @@ class Modules:
                 settings=slot.settings,
                 report=slot.report,
             )
+
+    def still_reasons(self, needed: Collection[ModuleKind]) -> list[StillReason]:
+        """Why nothing moves because of modules: each of the `needed` ones that does not work, and
+        every other one with a fault.
+        """
+        now_s = time.monotonic()
+        reasons = [
+            view.still_reason(now_s)
+            for view in self.views()
+            if view.kind in needed or view.health(now_s) in FAULTS
+        ]
+        return [reason for reason in reasons if reason is not None]
 
     def views(self) -> list[ModuleView]:
         """All modules, in the order robot, perception, inference, control."""

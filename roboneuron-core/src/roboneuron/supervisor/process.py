@@ -22,14 +22,12 @@ from pathlib import Path
 
 from roboneuron.errors import NotReadyError
 from roboneuron.hang_watch import END_SIGNAL
-from roboneuron.log_files import escaped, opener
+from roboneuron.log_files import escaped, opener, read_tail
 from roboneuron.supervisor.changes import Event, Lasting
 
 log = logging.getLogger(__name__)
 _LAST_LINES = 15
 """Number of lines of a dead module's log in messages."""
-_TAIL_BYTES = 64 * 1024
-"""Bytes read from a log's end; a model may have logged gigabytes."""
 KILL_S = 5.0
 """Timeout after SIGKILL; the kernel needs no more unless the process hangs in a driver."""
 _LOOK_S = 0.1
@@ -55,22 +53,6 @@ class ProcessEvents:
         self.spawning: Event[[]] = Event()
         self.seen: Event[[int]] = Event()
         self.ended: Event[[int, str]] = Event()
-
-
-def read_tail(path: Path, *, lines: int, offset: int = 0) -> tuple[str, ...]:
-    """Return the last `lines` lines after byte `offset`, from at most the last 64 KiB; empty if
-    there is no such file.
-    """
-    try:
-        with path.open("rb") as file:
-            start = max(offset, file.seek(0, os.SEEK_END) - _TAIL_BYTES)
-            file.seek(start)
-            found = file.read().decode("utf-8", errors="replace").splitlines()
-    except FileNotFoundError:
-        return ()
-    if start > offset and len(found) > 1:
-        found = found[1:]
-    return tuple(found[-lines:])
 
 
 class ModuleProcess:

@@ -9,6 +9,7 @@ from typing import Literal
 
 from roboneuron.config import ModuleSettings
 from roboneuron.errors import NotReadyError, StateError
+from roboneuron.gate import StillReason
 from roboneuron.hang_watch import END_SIGNAL
 from roboneuron.modules.report import Report
 from roboneuron.modules.settings import ModuleKind
@@ -23,6 +24,7 @@ Phase = Literal["stopped", "starting", "running", "stopping", "exited"]
 _NEXT: Mapping[str, str] = {
     "starting": "It is being started: wait for that; get_status tells how far it is.",
     "stopping": "It is being stopped: wait for that, then start it again.",
+    "exited": "Read its log (roboneuron logs), then start it again.",
 }
 """Advice for a module that does not run."""
 
@@ -167,10 +169,8 @@ class Slot:
     def check_running(self, hint: str = "") -> None:
         """Raise StateError with the reason and `hint` unless the module runs."""
         if self.phase != "running":
-            why = (
-                f": {self.explain_exit()}" if self.phase == "exited" else f" (it is {self.phase})."
-            )
-            raise StateError(f"{self.kind} is not running{why}", hint=_NEXT.get(self.phase, hint))
+            reason = not_running(self.kind, self.phase, self.process, hint)
+            raise StateError(reason.message, hint=reason.hint)
 
     def check_alive(self, doing: str) -> None:
         """Raise NotReadyError if the process has ended, with its last words, or is frozen."""
@@ -216,14 +216,35 @@ class Slot:
 
     def explain_exit(self) -> str:
         """Explain how the process ended by itself; empty if it did not."""
-        process = self.process
-        if self.phase != "exited" or process is None:
-            return ""
-        return (
-            f"its process (pid {process.pid}) ended by itself with "
-            f"{describe_exit(process.exit_code or 0)} at {process.ended_at.astimezone():%H:%M:%S}. "
-            f"Last lines: {_quote(process.last_lines())} Whole log: {process.log_path}"
-        )
+        return _explain_exit(self.phase, self.process)
+
+
+def not_running(
+    kind: ModuleKind, phase: Phase, process: ModuleProcess | None, hint: str
+) -> StillReason:
+    """Why nothing moves that needs a module, which is in another phase than "running".
+
+    Args:
+        kind, phase, process: those of the module.
+        hint: what to do if it is neither started nor stopped now.
+    """
+    why = f": {_explain_exit(phase, process)}" if phase == "exited" else f" (it is {phase})."
+    return StillReason(
+        rank="module",
+        rule=phase,
+        message=f"{kind} is not running{why}",
+        hint=_NEXT.get(phase, hint),
+    )
+
+
+def _explain_exit(phase: Phase, process: ModuleProcess | None) -> str:
+    if phase != "exited" or process is None:
+        return ""
+    return (
+        f"its process (pid {process.pid}) ended by itself with "
+        f"{describe_exit(process.exit_code or 0)} at {process.ended_at.astimezone():%H:%M:%S}. "
+        f"Last lines: {_quote(process.last_lines())} Whole log: {process.log_path}"
+    )
 
 
 def describe_exit(code: int) -> str:

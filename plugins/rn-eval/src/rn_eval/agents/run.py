@@ -25,7 +25,7 @@ from rn_eval.agents.witness import ROBOT, Witness
 from rn_eval.evaluate import exit_on_sigterm
 from rn_eval.hooks import AgentSubjectSpec, AgentTaskSpec
 from rn_eval.ledger import RunLedger
-from rn_eval.pools import connect, import_ray, run_on_actors
+from rn_eval.pools import Located, connect, import_ray, run_on_actors
 from roboneuron import ConfigurationError
 from roboneuron.command import Registry, build, discover, environment, load_profile
 
@@ -140,8 +140,8 @@ def play_on_workers(
     workers: int,
     ray_address: str | None = None,
 ) -> Generator[tuple[AgentRecord, bytes | None], None, None]:
-    """Run each episode once on Ray workers; yield results in order of completion. A dead worker is
-    replaced, and its episode is run again.
+    """Run each episode once on Ray workers; yield results in order of completion. A dead or stopped
+    worker is replaced, and its episode is run again.
 
     Raises:
         MissingDependencyError: Ray is not installed.
@@ -165,7 +165,7 @@ def play_on_workers(
         ray.shutdown()
 
 
-class AgentWorker:
+class AgentWorker(Located):
     """A worker process, used as a Ray actor.
 
     Args:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import sys
 from collections.abc import AsyncIterator, Iterator, Sequence
@@ -36,6 +37,7 @@ async def spawned_server(options: Sequence[str], log: Path | None = None) -> Asy
     from mcp.client.stdio import stdio_client  # heavy
     from mcp.shared.exceptions import MCPError
 
+    hush_unlisted_tools()
     words = ["-P", "-m", "roboneuron.cli.main", "serve", "--transport", "stdio", *options]
     environment = {TRUTH_SWITCH: "on", **os.environ}
     server = StdioServerParameters(command=sys.executable, args=words, env=environment)
@@ -56,6 +58,11 @@ async def spawned_server(options: Sequence[str], log: Path | None = None) -> Asy
             raise ConfigurationError(
                 "The server ended before it answered.", hint=_last_words(log)
             ) from error
+
+
+def hush_unlisted_tools() -> None:
+    """Keep the SDK's client from warning at each call of a tool that only find_tools lists."""
+    logging.getLogger("client").setLevel(logging.ERROR)
 
 
 def _last_words(log: Path | None) -> str:

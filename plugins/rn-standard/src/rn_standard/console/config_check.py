@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import sys
 from argparse import ArgumentParser, Namespace
-from contextlib import suppress
 from pathlib import Path
-
-from roboneuron import RoboNeuronError
 
 
 class ConfigCheck:
@@ -25,9 +22,9 @@ class ConfigCheck:
             check_configuration,
             discover,
             load_config,
-            load_profile,
             make_served,  # heavy
         )
+        from roboneuron.modules.arm_paths import UncheckedPaths  # numpy
 
         config = load_config(arguments.file)
         if not config.robots:
@@ -40,10 +37,8 @@ class ConfigCheck:
             served.close()
         registry = discover(config.disabled_plugins)
         for one in config.robots.values() or (config,):
-            with suppress(RoboNeuronError):  # its plugin is elsewhere
-                profile = load_profile(registry, one.robot.name)
-                if told := profile.why_unchecked(one.limits):
-                    print(f"Note: {told}")
+            if told := UncheckedPaths().why(one, registry):
+                print(f"Note: {told}")
         for reason in omitted:
             print(f"Left out: {reason}", file=sys.stderr)
         if omitted:

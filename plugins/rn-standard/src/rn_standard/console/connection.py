@@ -12,7 +12,7 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rn_standard.console.client import leaves_of, spawned_server
+from rn_standard.console.client import hush_unlisted_tools, leaves_of, spawned_server
 from roboneuron import ConfigurationError
 from roboneuron.command import environment, terminal
 
@@ -61,6 +61,7 @@ async def connect(arguments: Namespace) -> AsyncIterator[Client]:
     from mcp.shared.exceptions import MCPError
 
     logging.getLogger("mcp").addHandler(logging.NullHandler())  # its warnings become our error
+    hush_unlisted_tools()
     token = _token(arguments.token_variable)
     headers = {} if token is None else {"Authorization": f"Bearer {token}"}
     timeout = httpx2.Timeout(30.0, read=300.0)

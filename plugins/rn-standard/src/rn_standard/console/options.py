@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import PurePath
 from typing import TYPE_CHECKING, get_args, get_origin
 
-from rn_standard.selection.restricted import is_restricted
+from roboneuron.selection.restricted import is_restricted
 
 if TYPE_CHECKING:
     from pydantic import BaseModel

@@ -10,7 +10,7 @@ from argparse import ArgumentParser, Namespace
 from collections.abc import Sequence
 
 from rn_standard.console.chosen_plugins import add_config, read_disabled
-from roboneuron import CONTRACT_VERSION, __version__, foreign
+from roboneuron import CONTRACT_VERSION, __version__, foreign, install_command
 from roboneuron.command import (
     Offer,
     PluginRecord,
@@ -121,7 +121,7 @@ def _offer_document(offer: Offer) -> dict[str, object]:
 def print_short(registry: Registry) -> None:
     """Print ready offers by kind, then the others with remedies, then uninstalled ones."""
     if not registry.plugins:
-        command = availability.install_command()
+        command = install_command()
         print(f"No plugins are installed. For a start: {command}")
         return
     ready: dict[str, list[str]] = {}
@@ -143,7 +143,7 @@ def print_short(registry: Registry) -> None:
     if absent:
         print(_paint("\nNOT INSTALLED", "bold") + " (what they offer: README.md, Plugins)")
         print(_wrapped(", ".join(absent), 0))
-        print(_wrapped(f"One of them: {availability.install_command(absent[0])}", 2))
+        print(_wrapped(f"One of them: {install_command(absent[0])}", 2))
     print(
         _paint(
             f"\n{len(registry.plugins)} plugins; details: roboneuron plugins list --verbose", "dim"

@@ -6,11 +6,11 @@ from argparse import ArgumentParser, Namespace
 
 
 class RunCommand:
-    """Start what the configuration names, carry out one instruction, report, and stop everything
-    again.
+    """Start what the configuration names, carry out one instruction as the tool run_task does,
+    report its outcome, and stop everything again.
 
-    Exit status: 0 done, as reported by the simulator or the backend; 1 not done; 2 it could not be
-    started; 3 time is over and neither reports whether it is done; 130 interrupted.
+    Exit status: 0 succeeded; 1 failed, timed out or stopped; 2 it could not be started; 3 unclear:
+    nothing tells whether it is done; 130 interrupted.
     """
 
     def configure(self, parser: ArgumentParser) -> None:
@@ -22,12 +22,15 @@ class RunCommand:
         )
         connection.add_arguments(parser)
         parser.add_argument(
-            "--timeout-s",
-            type=float,
-            default=120.0,
-            metavar="SECONDS",
-            help="end after this long, counted from the first action (120)",
+            "--until",
+            metavar="WORDS",
+            help='success condition: "held", "lifted" or "on COLOUR"; without it, the verbs that '
+            "the policy declares are judged by themselves",
         )
+        parser.add_argument(
+            "--max-s", type=float, metavar="SECONDS", help="longest time of one attempt"
+        )
+        parser.add_argument("--max-attempts", type=int, metavar="NUMBER", help="most attempts")
 
     def run(self, arguments: Namespace) -> int:
         """Run `roboneuron run`."""
@@ -37,10 +40,6 @@ class RunCommand:
         if not arguments.instruction.strip():
             raise ConfigurationError(
                 "The instruction is empty.", hint='Say what to do: "pick up the red cube".'
-            )
-        if not 0 < arguments.timeout_s <= 86400:
-            raise ConfigurationError(
-                f"--timeout-s {arguments.timeout_s:g} is out of range: up to 86400 seconds."
             )
         where = f"with the server at {arguments.url}"
         if arguments.url is None:

@@ -33,8 +33,9 @@ class ConsoleSession:
         tool: str,
         arguments: Mapping[str, object] | None = None,
         on_progress: Callable[[str], None] | None = None,
+        timeout_s: float = _CALL_TIMEOUT_S,
     ) -> dict[str, Any]:
-        """Call a tool.
+        """Call a tool, and wait for its answer for `timeout_s`.
 
         Raises:
             NotReadyError: the tool answered with an error; contains its text.
@@ -47,7 +48,7 @@ class ConsoleSession:
         answer = await self._client.call_tool(
             tool,
             dict(arguments or {}),
-            read_timeout_seconds=_CALL_TIMEOUT_S,
+            read_timeout_seconds=timeout_s,
             progress_callback=progress,
         )
         if answer.is_error:
@@ -74,11 +75,14 @@ class ConsoleSession:
 
     async def status(self) -> ServerStatus:
         """Return the answer of `get_status`."""
-        return ServerStatus.from_answer(await self.call("get_status"), self._source)
+        answer = await self.call("get_status", {"details": True})
+        return ServerStatus.from_answer(answer, self._source)
 
     async def statuses(self) -> list[ServerStatus]:
         """Return the answers of `get_status`, one for each robot."""
         return [
-            ServerStatus.from_answer(await self.call("get_status", robot), self._source)
+            ServerStatus.from_answer(
+                await self.call("get_status", {**robot, "details": True}), self._source
+            )
             for robot in await self.robots("get_status")
         ]

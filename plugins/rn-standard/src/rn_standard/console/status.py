@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
-from roboneuron import ForeignDataError, foreign
+from roboneuron import foreign
 from roboneuron.command import FAULTS, Health, Report
 
 
@@ -17,6 +17,16 @@ class ModuleError(BaseModel):
 
     code: str = ""
     message: str = ""
+    hint: str = ""
+
+
+class ReportedReason(BaseModel):
+    """Why the robot does not move, see `Host.why_still`."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+    rule: str
+    message: str
     hint: str = ""
 
 
@@ -87,6 +97,7 @@ class ServerStatus(BaseModel):
         source: description of the source.
         pid: process id of the server; None if unknown.
         emergency_stop: True if latched.
+        why_still: why the robot does not move; empty from a source that does not know.
     """
 
     model_config = ConfigDict(frozen=True, extra="ignore")
@@ -97,6 +108,7 @@ class ServerStatus(BaseModel):
     uptime_s: float | None = None
     emergency_stop: bool = False
     emergency_stop_cause: str = ""
+    why_still: tuple[ReportedReason, ...] = ()
     log_directory: str = ""
     modules: tuple[ReportedModule, ...] = ()
 
@@ -118,38 +130,3 @@ class ServerStatus(BaseModel):
     @classmethod
     def _shown(cls, cause: str) -> str:
         return foreign.printable(cause, 500)
-
-
-class SimulatedObject(BaseModel):
-    """A simulator's report on one object.
-
-    Attributes:
-        lifted_m: height above its initial place.
-        held_s: time since it was lifted without interruption.
-    """
-
-    model_config = ConfigDict(frozen=True, extra="ignore")
-
-    lifted_m: float
-    held_s: float
-
-
-def simulated_objects(robot: ReportedModule | None) -> dict[str, SimulatedObject]:
-    """Objects by name, of a robot whose driver reports them; empty for any other.
-
-    A driver reports them as JSON in one of its details:
-        `{"red": {"lifted_m": 0.0, "held_s": 0.0, ...}, ...}`.
-    """
-    found: dict[str, SimulatedObject] = {}
-    for text in robot.detail.values() if robot is not None else ():
-        try:
-            table = foreign.decode_json(text, "a detail") if text.startswith("{") else {}
-            found.update(
-                {
-                    name: foreign.to_model(SimulatedObject, facts, "an object")
-                    for name, facts in table.items()
-                }
-            )
-        except ForeignDataError:  # a detail about something else
-            continue
-    return found

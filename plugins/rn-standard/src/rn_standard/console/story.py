@@ -1,53 +1,68 @@
-"""One run: start missing modules, give the instruction, monitor until the end, stop the started
-modules.
-"""
+"""One run: start missing modules, have the server carry out the task, stop the started modules."""
 
 from __future__ import annotations
 
 import signal
 import time
 from argparse import Namespace
+from collections.abc import Mapping
+from enum import IntEnum
+from typing import Any
 
 import anyio
 from anyio.abc import TaskStatus
 from mcp.shared.exceptions import MCPError
 
 from rn_standard.console import connection
-from rn_standard.console.judge import RunEnd, RunJudge, RunOutcome
 from rn_standard.console.screen import CommandScreen
 from rn_standard.console.session import ConsoleSession
-from rn_standard.console.status import ReportedModule, ServerStatus
-from rn_standard.console.table import fault_text
-from roboneuron import NotReadyError, RefusedError
+from roboneuron import NotReadyError, RefusedError, foreign
 
-_LOOK_PERIOD_S = 0.25
 _STOP_S = 60.0
-_KINDS = ("robot", "perception", "control", "inference")
+_LONGEST_S = 20 * 86400.0
+"""Longest wait for a task's end: the most attempts of the longest duration."""
+_KINDS = ("robot", "perception", "control")
+_MOST_TEXT = 1000
+
+
+class RunStatus(IntEnum):
+    """Exit status of a run."""
+
+    DONE = 0
+    NOT_DONE = 1
+    UNKNOWN = 3
+    INTERRUPTED = 130
+
+
+STATUSES = {"succeeded": RunStatus.DONE, "unclear": RunStatus.UNKNOWN}
+"""Exit status by the outcome of run_task; not done for every other one."""
 
 
 async def run_instruction(arguments: Namespace, screen: CommandScreen) -> int:
     """Perform the run; return the exit status. Raises as `connection.connect`, and NotReadyError
-    for a failed start.
+    for a failed start or task.
     """
+    task = {
+        "instruction": arguments.instruction,
+        "until": arguments.until,
+        "max_s": arguments.max_s,
+        "max_attempts": arguments.max_attempts,
+    }
+    given = {name: value for name, value in task.items() if value is not None}
     async with connection.connect(arguments) as client:
         session = ConsoleSession(client, arguments.url or "a server of its own")
-        story = Story(session, arguments.instruction, arguments.timeout_s, screen)
-        verdict = RunEnd(outcome=RunOutcome.INTERRUPTED, reason="interrupted")
+        story = Story(session, given, screen)
+        status, told = RunStatus.INTERRUPTED, "interrupted, stopped"
         try:
             async with anyio.create_task_group() as group:
                 await group.start(_cancel_when_interrupted, group.cancel_scope)
-                verdict = await story.play()
+                status, told = await story.play()
                 group.cancel_scope.cancel()
         finally:
             with anyio.CancelScope(shield=True), anyio.move_on_after(_STOP_S):
                 await story.stop()
-    words = {RunOutcome.DONE: "done", RunOutcome.NOT_DONE: "not done", RunOutcome.UNKNOWN: "ended"}
-    head = words.get(verdict.outcome)
-    screen.end(
-        verdict.outcome is RunOutcome.DONE,
-        f"{head}: {verdict.reason}" if head else f"{verdict.reason}, stopped",
-    )
-    return int(verdict.outcome)
+    screen.end(status is RunStatus.DONE, told)
+    return int(status)
 
 
 async def _cancel_when_interrupted(
@@ -62,23 +77,28 @@ async def _cancel_when_interrupted(
 
 
 class Story:
-    """The steps of a run."""
+    """The steps of a run.
+
+    Args:
+        session: of the server.
+        task: arguments of run_task.
+        screen: shows the steps.
+    """
 
     def __init__(
-        self, session: ConsoleSession, instruction: str, timeout_s: float, screen: CommandScreen
+        self, session: ConsoleSession, task: Mapping[str, Any], screen: CommandScreen
     ) -> None:
         self._session = session
-        self._instruction = instruction
+        self._task = task
         self._screen = screen
-        self._judge = RunJudge(instruction, timeout_s)
         self._started: list[str] = []
 
-    async def play(self) -> RunEnd:
-        """Perform all steps but the stop.
+    async def play(self) -> tuple[RunStatus, str]:
+        """Perform all steps but the stop; return the verdict and its words.
 
         Raises:
             RefusedError: the emergency stop is latched.
-            NotReadyError: a start failed, or the backend cannot act on the instruction.
+            NotReadyError: a start failed, or the task could not begin.
         """
         status = await self._session.status()
         if status.emergency_stop:
@@ -88,56 +108,27 @@ class Story:
                 hint="Look at the robot, then `roboneuron estop --reset`.",
                 rule="emergency_stop",
             )
-        for kind in _KINDS[:-1]:
+        for kind in _KINDS:
             if status.module(kind) is None:
                 self._started.append(kind)
                 with self._screen.step(f"start {kind}") as update:
                     await self._session.call(f"start_{kind}", on_progress=update)
-        is_running = status.module("inference") is not None
-        tool = "set_instruction" if is_running else "start_inference"
-        # stopped in any case, because the robot is unattended afterwards
-        self._started.append("inference")
-        with self._screen.step(
-            "give the instruction" if is_running else "start inference"
-        ) as update:
-            await self._session.call(tool, {"instruction": self._instruction}, on_progress=update)
-        return await self._watch()
+        if status.module("inference") is None:  # run_task starts it
+            self._started.append("inference")
+        began_s = time.monotonic()
+        with self._screen.live("carry out the task | Ctrl-C stops") as update:
 
-    async def _watch(self) -> RunEnd:
-        started_s = time.monotonic()
-        note = ""
-        health: dict[str, str] = {}
-        with self._screen.live("") as update:
-            while True:
-                status = await self._session.status()
-                elapsed_s = time.monotonic() - started_s
-                for module in status.running:
-                    if health.get(module.module, "ok") != module.health:
-                        self._tell_health(module)
-                    health[module.module] = module.health
-                inference = status.module("inference")
-                if inference is not None and inference.note and inference.note != note:
-                    note = inference.note
-                    self._screen.say(f"{elapsed_s:5.1f} s  {note}")
-                if (verdict := self._judge.look(status, elapsed_s)) is not None:
-                    return verdict
-                update(self._now(status, elapsed_s, note))
-                await anyio.sleep(_LOOK_PERIOD_S)
+            def show(text: str) -> None:
+                line = foreign.printable(text, _MOST_TEXT)
+                self._screen.say(f"{time.monotonic() - began_s:5.1f} s  {line}")
+                update(f"{line} | Ctrl-C stops")
 
-    def _tell_health(self, module: ReportedModule) -> None:
-        if module.is_faulty:
-            self._screen.warn(f"{module.module}: {fault_text(module)}")
-        elif module.health == "ok":
-            self._screen.say(f"{module.module} works again")
-
-    def _now(self, status: ServerStatus, elapsed_s: float, note: str) -> str:
-        words = [f"{elapsed_s:.0f} s", note or "moving"]
-        inference = status.module("inference")
-        if inference is not None and inference.rate_hz is not None:
-            words.append(f"{inference.rate_hz:.0f} actions/s")
-        if (target := self._judge.target(status)) is not None:
-            words.append(f"{target[0]} lifted by {max(0.0, target[1].lifted_m) * 100:.0f} cm")
-        return " | ".join([*words, "Ctrl-C stops"])
+            end = await self._session.call(
+                "run_task", self._task, on_progress=show, timeout_s=_LONGEST_S
+            )
+        outcome = str(end["outcome"])
+        reason = foreign.printable(str(end["reason"]), _MOST_TEXT)
+        return STATUSES.get(outcome, RunStatus.NOT_DONE), f"{outcome}: {reason}"
 
     async def stop(self) -> None:
         """Stop the modules started by this run, newest first; a failure is shown, and the others
@@ -150,9 +141,9 @@ class Story:
         kinds = [kind for kind in reversed(self._started) if kind in there]
         if not kinds:
             return
-        try:
-            with self._screen.step(f"stop {', '.join(kinds)}"):
-                for kind in kinds:
+        with self._screen.step(f"stop {', '.join(kinds)}"):
+            for kind in kinds:
+                try:
                     await self._session.call(f"stop_{kind}")
-        except (NotReadyError, MCPError) as error:
-            self._screen.warn(str(error))
+                except (NotReadyError, MCPError) as error:
+                    self._screen.warn(str(error))

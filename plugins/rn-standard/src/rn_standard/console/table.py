@@ -10,6 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from rn_standard.console.status import ReportedModule, ServerStatus
+from roboneuron import foreign
 from roboneuron.command import EXPLANATIONS
 
 _COLOURS = {
@@ -52,10 +53,13 @@ def _head(status: ServerStatus) -> Text:
     if status.uptime_s is not None:
         words.append(f"up {duration(status.uptime_s)}")
     head = Text.assemble((", ".join(words), "bold"), (f"  ({status.source})", "dim"))
+    others = [one for one in status.why_still if one.rule != "emergency_stop"]
+    lines = [f"\n{foreign.printable(f'{one.message} {one.hint}')}" for one in others]
+    why = ("".join(lines), "yellow")
     if status.emergency_stop:
         cause = f" by {status.emergency_stop_cause}" if status.emergency_stop_cause else ""
-        return Text.assemble(head, "\n", (f"EMERGENCY STOP latched{cause}", "bold red"))
-    return Text.assemble(head, "\n", "emergency stop: not latched")
+        return Text.assemble(head, "\n", (f"EMERGENCY STOP latched{cause}", "bold red"), why)
+    return Text.assemble(head, "\n", "emergency stop: not latched", why)
 
 
 def _body(status: ServerStatus) -> list[RenderableType]:

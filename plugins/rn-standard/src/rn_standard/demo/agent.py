@@ -80,7 +80,7 @@ class DemoAgent:
 
     async def status(self) -> dict[str, Any]:
         """Return the answer of `get_status`."""
-        return await self.call("get_status")
+        return await self.call("get_status", {"details": True})
 
 
 def module_status(status: Mapping[str, Any], name: str) -> dict[str, Any]:

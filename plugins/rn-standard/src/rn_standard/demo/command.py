@@ -5,7 +5,7 @@ from __future__ import annotations
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-from roboneuron import ConfigurationError
+from roboneuron import ConfigurationError, install_command
 
 DEFAULT_INSTRUCTION = "pick up the red cube"
 POLICIES = ("servo", "learned")
@@ -34,7 +34,7 @@ class Demo:
             "--gui", action="store_true", help="show the simulator's window (needs a display)"
         )
         parser.add_argument(
-            "--timeout-s", type=float, default=90.0, help="give up after this long (default 90)"
+            "--max-s", type=float, default=90.0, help="give up after this long (default 90)"
         )
         parser.add_argument(
             "--output", type=Path, default=Path("out/demo"), help="where film and log go"
@@ -62,7 +62,7 @@ class Demo:
             instruction=arguments.instruction,
             seed=seed,
             gui=arguments.gui,
-            timeout_s=arguments.timeout_s,
+            max_s=arguments.max_s,
             output=arguments.output,
             config=_configuration(arguments),
         )
@@ -82,6 +82,6 @@ def _configuration(arguments: Namespace) -> Path | None:
     except ImportError as error:
         raise ConfigurationError(
             "The learned policy is not installed.",
-            hint="In RoboNeuron's source folder: make demo ARGS='--policy learned' installs it.",
+            hint=f"Run: {install_command('rn-policy-cubes')}.",
         ) from error
     return shipped_configuration(arguments.output)

@@ -36,7 +36,7 @@ class DemoOptions:
         instruction: for the policy; also names the object that has to be lifted.
         seed: seed of the scene; None for the configured one.
         gui: show the simulator's window.
-        timeout_s: give up after this long.
+        max_s: give up after this long.
         output: directory for film strip, GIF and server log.
         config: a configuration file instead of the embedded default.
     """
@@ -44,7 +44,7 @@ class DemoOptions:
     instruction: str
     seed: int | None
     gui: bool
-    timeout_s: float
+    max_s: float
     output: Path
     config: Path | None
 
@@ -164,7 +164,7 @@ async def _watch(
     last_note = ""
     faulty_since_s = math.inf
     with screen.watching() as live:
-        while (elapsed_s := time.monotonic() - started_s) < options.timeout_s:
+        while (elapsed_s := time.monotonic() - started_s) < options.max_s:
             status = await agent.status()
             inference = module_status(status, "inference")
             note = str(inference.get("note") or "")

@@ -25,7 +25,8 @@ from rn_standard.doctor.finding import (
     warning,
 )
 from rn_standard.doctor.images import measure_image_transport
-from roboneuron import RoboNeuronError, RobotSpec
+from rn_standard.ops.maintenance import MaintenanceFile
+from roboneuron import RoboNeuronError, RobotSpec, install_command
 from roboneuron.command import (
     Config,
     Registry,
@@ -142,15 +143,17 @@ def _state(config: Config) -> Finding:
 
 
 def _emergency_stop(config: Config) -> Finding:
+    """What forbids motion with and without a server: files of the state directory."""
     directory = environment.state_directory(config.supervisor.state_directory)
-    state = estop.EmergencyStopLatch.in_directory(directory).read_state()
-    if state.latched:
-        cause = f" by {state.cause}" if state.cause else ""
-        return warning(
-            f"The emergency stop is latched{cause}.",
-            "Look at the robot, then: roboneuron estop --reset",
-        )
-    return ok("The emergency stop is not latched.")
+    out_of_service = MaintenanceFile(directory).read()
+    if out_of_service is not None:
+        reason = out_of_service.still_reason()
+        return warning(reason.message, reason.hint)
+    latch = estop.EmergencyStopLatch.in_directory(directory)
+    latched = latch.still_reason()
+    if latched is not None:
+        return warning(latched.message, f"Look at the robot, then: {latch.release_command}")
+    return ok("The emergency stop is not latched, and the robot is in service.")
 
 
 def _shared_memory(_: Config) -> Finding:
@@ -222,7 +225,7 @@ def _plugins(config: Config) -> Finding:
     ready = sum(record.status is Status.READY for record in records)
     text = f"{ready} of {len(records)} plugins are ready."
     if not ready:
-        return failed(text, f"For a start: {availability.install_command()}")
+        return failed(text, f"For a start: {install_command()}")
     # whether the chosen ones are usable is a check of its own
     lacking = [r.name for r in records if r.status is Status.UNAVAILABLE]
     if lacking:
@@ -252,10 +255,9 @@ def _configuration(config: Config) -> Finding:
 
 
 def _distances(config: Config) -> Finding:
-    from roboneuron.command import load_profile  # numpy
+    from roboneuron.modules.arm_paths import UncheckedPaths  # numpy
 
-    profile = load_profile(discover(config.disabled_plugins), config.robot.name)
-    told = profile.why_unchecked(config.limits)
+    told = UncheckedPaths().why(config, discover(config.disabled_plugins))
     if not told:
         return ok("They are checked, or the robot has no arm.")
     why, _, how = told.partition(". ")

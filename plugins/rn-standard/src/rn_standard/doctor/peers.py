@@ -9,7 +9,8 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterable
 
-from rn_standard.direct_path.peers import (
+from rn_standard.doctor.finding import Finding, ok, warning
+from roboneuron.direct_path.peers import (
     HUMBLE,
     HUMBLE_HINT,
     DdsGraph,
@@ -21,7 +22,6 @@ from rn_standard.direct_path.peers import (
     qos_mismatches,
     vendor_of,
 )
-from rn_standard.doctor.finding import Finding, ok, warning
 
 DISCOVERY_S = 3.5
 """Discovery time: Fast DDS announces a participant every 3 s, and the first answers to a new one

@@ -25,7 +25,7 @@ from rn_standard.fastdds.segments import PORT_PREFIX, SHARED_MEMORY, owned_segme
 from roboneuron.feature import Periodic
 
 if TYPE_CHECKING:
-    from roboneuron.node import ModuleHost  # imports rclpy, for which no `initialize` waits
+    from roboneuron.feature import ModuleHost  # imports rclpy, for which no `initialize` waits
 
 log = logging.getLogger(__name__)
 LOOK_S = 0.5

@@ -9,16 +9,16 @@ from __future__ import annotations
 import logging
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rn_standard.fleet.connection import PARTICIPANTS, SharedConnection, participants_of
 from rn_standard.fleet.fleet_tools import emergency_stop_tool, list_fleet_tool, stop_motion_tool
-from rn_standard.fleet.resources import resources_of, uri_of
 from rn_standard.fleet.tools import FleetTools
-from roboneuron import ConfigurationError, RoboNeuronError, Tool, Transport, UnsafeError
+from roboneuron import ConfigurationError, Resource, RoboNeuronError, Tool, Transport, UnsafeError
 from roboneuron.feature import (
     Application,
     Config,
@@ -30,6 +30,31 @@ from roboneuron.feature import (
     make_server,
     reading,
 )
+
+if TYPE_CHECKING:
+    from roboneuron.feature import Application
+
+
+def uri_of(robot: str, uri: str) -> str:
+    """URI of a robot's resource in a server of several robots."""
+    scheme, _, rest = uri.partition("://")
+    return f"{scheme}://{robot}/{rest}"
+
+
+def resources_of(robots: Mapping[str, Application]) -> dict[str, Resource]:
+    """The resources of all robots by URI."""
+    found = [
+        replace(
+            resource,
+            uri=uri_of(name, resource.uri),
+            name=f"{name}: {resource.name}",
+            title=f"{name}: {resource.title}",
+        )
+        for name, robot in robots.items()
+        for resource in robot.resources.values()
+    ]
+    return {resource.uri: resource for resource in found}
+
 
 log = logging.getLogger(__name__)
 NAMESPACE_FILE = "namespace"

@@ -143,8 +143,11 @@ class FleetTools(ToolRegistry):
         """
         having = [name for name, one in self._robots.items() if one.tools.get(tool) is not None]
         if not having:
+            names = sorted({name for one in self._robots.values() for name in one.tools.names()})
             raise InvalidInputError(
-                f"There is no tool {tool[:80]!r}.", hint="See tools/list.", path="tool"
+                f"There is no tool {tool[:80]!r}.",
+                hint=nearest(tool[:80], names, "search_tools finds one by words."),
+                path="tool",
             )
         choices = f"Choose one of: {', '.join(having)}."
         if robot is None:

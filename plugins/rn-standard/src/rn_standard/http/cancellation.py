@@ -26,8 +26,8 @@ from starlette.responses import Response
 from starlette.types import Message, Receive, Scope, Send
 
 from rn_standard.http.peers import process_of
-from rn_standard.stdio.envelope import EnvelopeError
 from roboneuron.feature import Holder
+from roboneuron.stdio.envelope import EnvelopeError
 
 _MOST_ENDED = 1024
 _LOST: Message = {"type": "http.disconnect"}

@@ -13,8 +13,8 @@ from rn_standard.http.operator_lease import OperatorLease
 from rn_standard.http.options import HttpOptions
 from rn_standard.http.origins import HostRules
 from rn_standard.http.tokens import TokenFiles, read_tokens
-from roboneuron import Feature, Host, Tool, Transport
-from roboneuron.feature import CallPhase, Config, Interceptor
+from roboneuron import CallContext, Feature, Host, Tool, Transport
+from roboneuron.feature import CallPhase, Config, Interceptor, StillReason
 
 _LAPSE_S = 2.0
 """Longest wait for the end of motion after a lapsed lease."""
@@ -65,6 +65,10 @@ class HttpFeature(Feature[HttpOptions]):
         """Every call is checked by the lease."""
         assert self.lease is not None
         return [Interceptor(name="operator", phase=CallPhase.ARBITRATION, check=self.lease.admit)]
+
+    def still_reasons(self, asker: CallContext | None) -> Sequence[StillReason]:
+        """See `Feature.still_reasons`."""
+        return () if self.lease is None else self.lease.still_reasons(asker)
 
     def start(self, host: Host) -> None:
         """Start watching the lease."""

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import replace
 
 from pydantic_core import from_json
@@ -17,15 +17,46 @@ from starlette.responses import JSONResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from rn_standard.http.authentication import LocalBackend, TokenBackend, holder_of
-from rn_standard.http.connection_loss import RequestConnection
 from rn_standard.http.connections import ConnectionTable
 from rn_standard.http.fairness import RequestShares
 from rn_standard.http.local_clients import account_of
 from rn_standard.http.origins import HostRules
 from rn_standard.http.peers import protocol_of
 from rn_standard.http.tokens import TokenTable
-from rn_standard.stdio.envelope import EnvelopeError, is_urgent
 from roboneuron.feature import Holder
+from roboneuron.stdio.envelope import EnvelopeError, is_urgent
+
+
+class RequestConnection:
+    """The connection of one HTTP request; used on the event loop only."""
+
+    def __init__(self, receive: Receive) -> None:
+        self._receive = receive
+        self._listeners: list[Callable[[], object]] = []
+        self._is_lost = False
+
+    async def receive(self) -> Message:
+        """The ASGI channel of the application; a streamed response always listens on it."""
+        message = await self._receive()
+        if message["type"] == "http.disconnect" and not self._is_lost:
+            self._is_lost = True
+            if self._listeners:
+                log.warning("A client was lost while its call was at work.")
+            for listener in self._listeners:
+                listener()
+        return message
+
+    @contextmanager
+    def watched(self, listener: Callable[[], object]) -> Iterator[None]:
+        """Call `listener` if the connection is lost within the block, or was lost before."""
+        self._listeners.append(listener)
+        try:
+            if self._is_lost:
+                listener()
+            yield
+        finally:
+            self._listeners.remove(listener)
+
 
 log = logging.getLogger(__name__)
 _MOST_STOP_BYTES = 65536

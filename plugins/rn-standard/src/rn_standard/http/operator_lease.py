@@ -6,13 +6,19 @@ import logging
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
 from pydantic import Field
 
 from roboneuron import CallContext, NoArguments, RefusedError, Result, Tool
-from roboneuron.feature import AuditLog, AuditRecord, Periodic, Role
+from roboneuron.feature import (
+    AuditLog,
+    AuditRecord,
+    Periodic,
+    Role,
+    StillReason,
+)
 
 log = logging.getLogger(__name__)
 _LOOK_S = 0.05
@@ -81,12 +87,21 @@ class OperatorLease:
             if context.who == self._operator:
                 self._renew()
             elif acts:
-                raise RefusedError(
-                    f"{self._operator!r} operates the robot, {context.who!r} may only read and "
-                    "stop.",
-                    hint=f"Call {TAKE_OVER} if that is agreed.",
-                    rule="operator",
-                )
+                raise self._reason(context).refusal()
+
+    def still_reasons(self, asker: CallContext | None) -> Sequence[StillReason]:
+        """Why a client may not move the robot: another one operates it."""
+        with self._lock:
+            is_other = asker is not None and asker.who != self._operator and not self._is_free()
+        return (self._reason(asker),) if asker is not None and is_other else ()
+
+    def _reason(self, asker: CallContext) -> StillReason:
+        return StillReason(
+            rank="operator",
+            rule="operator",
+            message=f"{self._operator!r} operates the robot, {asker.who!r} may only read and stop.",
+            hint=f"Call {TAKE_OVER} if that is agreed.",
+        )
 
     def take_over(self, who: str, role: str) -> str:
         """Make `who` the operator; return the previous one. Motion continues, and started modules

@@ -22,8 +22,8 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from rn_standard.http.cancellation import OpenRequest, OpenRequests
 from rn_standard.http.local_clients import account_of
-from rn_standard.stdio.envelope import EnvelopeError
 from roboneuron.feature import Holder
+from roboneuron.stdio.envelope import EnvelopeError
 
 log = logging.getLogger(__name__)
 MOST_SESSIONS, MOST_SESSIONS_OF_ONE = 256, 64

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import get_args
 
 from rn_standard.ops.incidents import FOLDER, Incidents
@@ -12,11 +12,54 @@ from rn_standard.ops.options import OpsOptions
 from rn_standard.ops.other_servers import ServerPresence
 from rn_standard.ops.records import Source, log_resource, record_tools
 from rn_standard.ops.restarts import Restarts
-from rn_standard.ops.safety_faults import SafetyFaults
 from rn_standard.ops.server_log import ServerLog
-from rn_standard.tools_loop.results import ModuleStatus
 from roboneuron import Feature, Host, Resource, Tool
-from roboneuron.feature import EXPLANATIONS, FAULTS, Health, ModuleKind, ModuleView
+from roboneuron.feature import (
+    EXPLANATIONS,
+    FAULTS,
+    ClosedLoop,
+    Health,
+    ModuleKind,
+    ModuleView,
+    Periodic,
+    settings,
+)
+from roboneuron.tools.loop.results import ModuleStatus
+
+_LOOK_S = 0.1
+_VANISHED = "its file vanished without a reset and was written again; everything stays stopped"
+Fault = Callable[[str, str, Mapping[str, object]], None]
+"""Called with the place, a word for the fault, and JSON-serialisable details."""
+
+
+class SafetyFaults(Periodic):
+    """Checks counters every 100 ms: an increase is a fault. The counters of a restarted process
+    begin at 0.
+    """
+
+    def __init__(self, loop: ClosedLoop, tell: Fault) -> None:
+        super().__init__("safety-faults", _LOOK_S, self.look)
+        self._loop = loop
+        self._tell = tell
+        self._restored = 0
+        self._foreign: dict[ModuleKind, int] = {}
+
+    def look(self) -> None:
+        """Report each fault once. It is unknown which process has removed the file."""
+        restored = self._loop.emergency_stop.file.read_state().restored
+        if restored > self._restored:
+            facts = {"explanation": _VANISHED, "times": restored}
+            self._tell("emergency_stop", "latch_vanished", facts)
+        self._restored = restored
+        for view in self._loop.modules.views():
+            report = view.report
+            count = 0 if report is None else report.dropped_by.get(settings.FOREIGN_REQUEST, 0)
+            if report is not None and count > self._foreign.get(view.kind, 0):
+                what = report.metrics.get(settings.FOREIGN_REQUEST, "")
+                facts = {"explanation": what, "count": count}
+                self._tell(view.kind, settings.FOREIGN_REQUEST, facts)
+            self._foreign[view.kind] = count
+
 
 log = logging.getLogger(__name__)
 _ACTIONS = 30
@@ -52,6 +95,10 @@ class Operations(Feature[OpsOptions]):
         host.events.health.listen(self._restarts.on_health)
         host.events.fault.listen(self._incidents.record)
         return record_tools(host.modules, self._incidents)
+
+    def recent_faults(self, within_s: float) -> tuple[int, list[str], float]:
+        """See `Incidents.recent`."""
+        return self._incidents.recent(within_s)
 
     def resources(self, host: Host) -> Sequence[Resource]:
         """Return the logs of modules and of the server."""

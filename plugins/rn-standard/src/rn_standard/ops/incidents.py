@@ -10,6 +10,7 @@ import math
 import os
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -87,8 +88,16 @@ class Incidents:
         self._clock = clock
         self._monotonic = monotonic
         self._lock = threading.Lock()
-        self._newest: dict[tuple[str, str], float] = {}
+        self._newest: dict[tuple[str, str], tuple[float, Path]] = {}
         self._count = 0
+        self._recent: deque[tuple[float, str]] = deque(maxlen=_KEPT)
+
+    def recent(self, within_s: float) -> tuple[int, list[str], float]:
+        """Faults of the last seconds: their number, their modules, and the age of the newest."""
+        now_s = self._monotonic()
+        recent = [one for one in tuple(self._recent) if now_s - one[0] <= within_s]
+        age_s = now_s - recent[-1][0] if recent else math.inf
+        return len(recent), list(dict.fromkeys(module for _, module in recent)), age_s
 
     def record(self, module: str, what: str, facts: Mapping[str, object]) -> Path | None:
         """Write a record; return None if it repeats a recent one, or cannot be written (which is
@@ -96,15 +105,18 @@ class Incidents:
         """
         now_s, seen_s = self._clock(), self._monotonic()
         with self._lock:
-            again = seen_s - self._newest.get((module, what), -math.inf) < _AGAIN_S
-            self._newest[module, what] = seen_s
-            if again:
+            self._recent.append((seen_s, module))
+            before_s, before = self._newest.get((module, what), (-math.inf, None))
+            # a record that was removed meanwhile, as with its directory, tells nobody of this one
+            if before is not None and seen_s - before_s < _AGAIN_S and before.exists():
+                self._newest[module, what] = seen_s, before
                 return None
             self._count += 1
-            number = self._count
-        at = datetime.fromtimestamp(now_s, UTC)
-        when = f"{at:%Y%m%dT%H%M%S}.{at.microsecond // 1000:03d}Z"
-        name = f"{when}-{os.getpid()}-{number}-{module}-{what}.json"
+            at = datetime.fromtimestamp(now_s, UTC)
+            when = f"{at:%Y%m%dT%H%M%S}.{at.microsecond // 1000:03d}Z"
+            name = f"{when}-{os.getpid()}-{self._count}-{module}-{what}.json"
+            path = self.directory / name
+            self._newest[module, what] = seen_s, path
         record = {
             "id": name.removesuffix(".json"),
             "at": at.isoformat(),
@@ -113,7 +125,6 @@ class Incidents:
             "robot": self.robot(),
             **facts,
         }
-        path = self.directory / name
         try:
             temporary = path.with_suffix(".part")
             with open(temporary, "w", encoding="utf-8", opener=log_files.opener) as file:

@@ -37,6 +37,7 @@ from roboneuron.feature import (
     Interceptor,
     Periodic,
     Role,
+    StillReason,
 )
 
 log = logging.getLogger(__name__)
@@ -63,6 +64,16 @@ class OutOfService:
         at = time.strftime("%Y-%m-%d %H:%M", time.localtime(self.since_s))
         who, reason = foreign.printable(self.who, 100), self.reason or "maintenance"
         return f"{who} took the robot out of service at {at}: {foreign.printable(reason)}"
+
+    def still_reason(self) -> StillReason:
+        """Why nothing moves the robot."""
+        return StillReason(
+            rank="service",
+            rule=NAME,
+            message=f"{self}.",
+            hint="A person puts it back in service on the page or with `roboneuron maintenance "
+            "--end`. Wait, or ask that person.",
+        )
 
 
 class MaintenanceFile:
@@ -103,7 +114,7 @@ class MaintenanceFile:
         Raises:
             RefusedError: the role is not an operator's, or the file cannot be written.
         """
-        _check_role(role, Role.OPERATOR, who, "Taking the robot out of service")
+        Role.OPERATOR.check(who, role, "Taking the robot out of service")
         found = self.read()
         if found is not None:
             return found
@@ -139,7 +150,7 @@ class MaintenanceFile:
             RefusedError: the role is not an admin's, or the audit cannot be written.
             StateError: the file cannot be removed; the robot stays out of service.
         """
-        _check_role(role, Role.ADMIN, who, "Putting the robot back in service")
+        Role.ADMIN.check(who, role, "Putting the robot back in service")
         found = self.read()
         if found is None:
             return None
@@ -195,12 +206,12 @@ class MaintenanceFeature(Feature[None]):
         state = self._state
         if state is None or tool.read_only or tool.always or tool.name in _ALLOWED:
             return
-        raise RefusedError(
-            f"{tool.name} is refused: {state}.",
-            hint="A person puts it back in service on the page or with `roboneuron maintenance "
-            "--end`. Wait, or ask that person.",
-            rule=NAME,
-        )
+        raise state.still_reason().refusal()
+
+    def still_reasons(self, asker: CallContext | None) -> Sequence[StillReason]:
+        """See `Feature.still_reasons`."""
+        state = self._state
+        return () if state is None else (state.still_reason(),)
 
     def begin(self, who: str, role: str, reason: str) -> OutOfService:
         """Take the robot out of service; returns once the stop is confirmed.
@@ -233,15 +244,6 @@ class MaintenanceFeature(Feature[None]):
         if not stop.is_latched():
             namespace = self._host.config.namespace
             stop.latch(namespace, who=state.who, reason=f"maintenance: {state.reason}")
-
-
-def _check_role(role: str, least: Role, who: str, what: str) -> None:
-    if not least.is_held_by(role):
-        raise RefusedError(
-            f"{what} needs the role '{least}'; {who} has {role or 'none'!r}.",
-            hint="Ask a person who has it.",
-            rule="role",
-        )
 
 
 def _record(who: str, role: str, tool: str, reason: str) -> AuditRecord:

@@ -63,9 +63,9 @@ class Maintenance:
             )
         for folder in folders:
             file, audit = MaintenanceFile(folder), AuditLog.in_directory(folder)
+            latch = estop.EmergencyStopLatch.in_directory(folder)
             if arguments.begin is not None:
                 state = file.begin(who, Role.ADMIN, arguments.begin, audit)
-                latch = estop.EmergencyStopLatch.in_directory(folder)
                 latch.latch(who=state.who, reason=f"maintenance: {state.reason}", audit=audit)
                 print(f"{folder}: {state}. The emergency stop is latched.")
                 continue
@@ -77,7 +77,7 @@ class Maintenance:
                 status = 1
             elif terminal.is_agreed("Is everybody away from the robot? Back in service?"):
                 file.end(who, Role.ADMIN, audit)
-                print("In service. The emergency stop is latched: roboneuron estop --reset.")
+                print(f"In service. The emergency stop is latched: {latch.release_command}")
             else:
                 status = 1
         return status

@@ -6,11 +6,12 @@ import logging
 import os
 import threading
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from weakref import WeakSet
 
 from rn_standard.ops.options import MemoryOptions
-from roboneuron.feature import ModuleKind, ModuleProcess, Modules, Periodic
+from roboneuron.feature import ModuleKind, Modules, Periodic
 
 log = logging.getLogger(__name__)
 _LOOK_S = 0.05
@@ -45,33 +46,31 @@ class MemoryWatch(Periodic):
         self._modules = modules
         self._limits = limits
         self._record = record
-        self._ended: WeakSet[ModuleProcess] = WeakSet()
+        self._ended: WeakSet[object] = WeakSet()
 
     def look(self) -> None:
         """Compare all modules with their limits."""
         for slot in self._modules.all_slots():
-            if (process := slot.process) is not None:
-                self._check(slot.kind, process)
+            kind, process = slot.kind, slot.process
+            if process is None or process.exit_code is not None or process in self._ended:
+                continue
+            limit_mb = self._limits.limit_mb(kind)
+            used_mb = own_memory_mb(process.pid) if limit_mb is not None else None
+            if limit_mb is None or used_mb is None or used_mb <= limit_mb:
+                continue
+            why = (
+                f"ended: it holds {used_mb:.0f} MB, [ops.memory_limit_mb] {kind} = {limit_mb} "
+                "are allowed"
+            )
+            log.error("%s (pid %d) is %s.", kind, process.pid, why)
+            self._ended.add(process)
+            process.note(f"supervisor: {kind} is {why}.")
+            process.terminate()
+            ending = partial(_kill_late, process.wait, process.kill)
+            threading.Thread(target=ending, name=f"end-{kind}", daemon=True).start()
+            self._record(kind, why)
 
-    def _check(self, kind: ModuleKind, process: ModuleProcess) -> None:
-        if process.exit_code is not None or process in self._ended:
-            return
-        limit_mb = self._limits.limit_mb(kind)
-        used_mb = own_memory_mb(process.pid) if limit_mb is not None else None
-        if limit_mb is None or used_mb is None or used_mb <= limit_mb:
-            return
-        why = (
-            f"ended: it holds {used_mb:.0f} MB, [ops.memory_limit_mb] {kind} = {limit_mb} "
-            "are allowed"
-        )
-        log.error("%s (pid %d) is %s.", kind, process.pid, why)
-        self._ended.add(process)
-        process.note(f"supervisor: {kind} is {why}.")
-        threading.Thread(target=_end, args=(process,), name=f"end-{kind}", daemon=True).start()
-        self._record(kind, why)
 
-
-def _end(process: ModuleProcess) -> None:
-    process.terminate()
-    if not process.wait(GRACE_S):
-        process.kill()
+def _kill_late(wait: Callable[[float], bool], kill: Callable[[], object]) -> None:
+    if not wait(GRACE_S):
+        kill()

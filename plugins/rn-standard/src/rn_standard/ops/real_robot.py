@@ -24,6 +24,7 @@ from roboneuron.feature import (
     IncomingCall,
     Interceptor,
     Proceed,
+    StillReason,
 )
 
 _STARTS = ("start_robot", "start_all")
@@ -46,12 +47,14 @@ class RealRobotOptions(Section):
 class RealRobotFeature(Feature[RealRobotOptions]):
     """Makes start_robot and start_all ask, once per robot and driver in the server's life."""
 
+    _host: Host | None = None
     _agreed: frozenset[tuple[str, str]] = frozenset()
 
     def interceptors(self, host: Host) -> Sequence[Interceptor]:
         """See `Feature.interceptors`: ask before the tools that start a robot."""
         if self.options.confirm == "never":
             return ()
+        self._host = host
 
         async def ask(call: IncomingCall, proceed: Proceed) -> Answer:
             if host.modules.view("robot").phase in _DOWN:
@@ -69,6 +72,22 @@ class RealRobotFeature(Feature[RealRobotOptions]):
                 told="A person is asked before the first start." if is_real else "",
             )
         ]
+
+    def still_reasons(self, asker: CallContext | None) -> Sequence[StillReason]:
+        """See `Feature.still_reasons`: a real robot before its first start."""
+        host = self._host
+        if host is None or host.modules.view("robot").phase not in _DOWN:
+            return ()
+        facts = host.loop.robot_facts
+        if facts.kind != "real" or (facts.name, facts.driver) in self._agreed:
+            return ()
+        reason = StillReason(
+            rank="person",
+            rule="person",
+            message=f"A person is asked before the {facts} is first started.",
+            hint="Call start_robot by a client that can ask the person at the robot.",
+        )
+        return (reason,)
 
     async def _ask(
         self, host: Host, tool: str, request: Arguments | None, context: CallContext

@@ -12,7 +12,7 @@ from pydantic import Field
 from rn_standard.ops.incidents import FaultSpans, Incidents
 from rn_standard.ops.server_log import FILE_NAME
 from roboneuron import Arguments, CallContext, InvalidInputError, Resource, Result, Tool
-from roboneuron.feature import ModuleKind, Modules, read_tail
+from roboneuron.feature import ModuleKind, Modules, log_files
 
 Level = Literal["debug", "info", "warning", "error"]
 Source = Literal["robot", "perception", "inference", "control", "server"]
@@ -35,6 +35,10 @@ _SEVERITIES: Mapping[str, Severity] = {
     "stalled": "low",
 }
 """Severity by the word of a fault; the others are medium."""
+_PASSES_S: Mapping[str, float] = {"stuck": 1.0, "silent": 1.0}
+"""Duration [s] below which such a fault was only late: an overloaded computer has dozens of them,
+and watchdogs have acted where it mattered.
+"""
 
 
 class GetLogs(Arguments):
@@ -152,7 +156,7 @@ def incident_kinds(records: Sequence[Mapping[str, Any]], spans: FaultSpans) -> l
         IncidentKind(
             module=module,
             what=what,
-            severity=_SEVERITIES.get(what, "medium"),
+            severity=_severity(what, longest_s, spans.is_now(module, what)),
             count=len(times),
             first=times[-1],
             last=times[0],
@@ -163,6 +167,12 @@ def incident_kinds(records: Sequence[Mapping[str, Any]], spans: FaultSpans) -> l
         for longest_s in (spans.longest_s(module, what),)
     ]
     return sorted(kinds, key=lambda kind: (not kind.now, _ORDER.index(kind.severity), -kind.count))
+
+
+def _severity(what: str, longest_s: float | None, is_now: bool) -> Severity:
+    if not is_now and longest_s is not None and longest_s < _PASSES_S.get(what, 0.0):
+        return "low"
+    return _SEVERITIES.get(what, "medium")
 
 
 def whole_incident(record: Mapping[str, Any]) -> Incident:
@@ -241,7 +251,9 @@ def log_resource(modules: Modules, source: Source) -> Resource:
         title=f"Log of {source}",
         description=f"The last {LOG_LINES} lines that {source} has written.",
         read=lambda: "\n".join(
-            newest_lines(read_tail(log_file(modules, source), lines=LOG_LINES), _MOST_RESOURCE)
+            newest_lines(
+                log_files.read_tail(log_file(modules, source), lines=LOG_LINES), _MOST_RESOURCE
+            )
         ),
     )
 
@@ -255,7 +267,7 @@ def record_tools(modules: Modules, incidents: Incidents) -> list[Tool]:
         entries = [
             entry
             for entry in parse_entries(
-                await context.run(lambda _: read_tail(path, lines=_MOST_LINES))
+                await context.run(lambda _: log_files.read_tail(path, lines=_MOST_LINES))
             )
             if _RANK.get(entry.level.upper(), 1) >= least and arguments.contains in entry.text
         ]

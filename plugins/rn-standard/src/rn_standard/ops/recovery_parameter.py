@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 from roboneuron import PluginError, RoboNeuronError
 
 if TYPE_CHECKING:
-    from roboneuron.node import Module, ModuleHost
+    from roboneuron.feature import Module, ModuleHost
 
 RECOVER_PARAMETER = "recover"
 """ROS parameter of the robot node: a new number requests a recovery from a supporting driver; the

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import logging
+import os
 import threading
 import time
 from collections import defaultdict, deque
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
-from rn_standard.ops.load import OVERLOADED, cores, runnable_per_core
 from rn_standard.ops.options import OpsOptions
 from roboneuron import RoboNeuronError
 from roboneuron.feature import (
@@ -19,6 +20,29 @@ from roboneuron.feature import (
     ModuleKind,
     ModuleView,
 )
+
+OVERLOADED = 2.0
+"""Runnable tasks per core from which a module may be late without a fault: it gets half a core."""
+_LOADAVG = Path("/proc/loadavg")
+
+
+def cores() -> int:
+    """Number of cores that this process may use."""
+    return len(os.sched_getaffinity(0))
+
+
+def runnable_per_core(source: Path = _LOADAVG) -> float:
+    """Number of tasks that run or wait for a core at this moment, per core; 0 if unknown.
+
+    Source: proc(5), the fourth field of /proc/loadavg. The averages before it are over a minute and
+    more, which is too slow.
+    """
+    try:
+        running = int(source.read_text(encoding="ascii").split()[3].partition("/")[0])
+    except (OSError, ValueError, IndexError):
+        return 0.0
+    return (running - 1) / cores()  # one of them is this thread
+
 
 log = logging.getLogger(__name__)
 _FROZEN: frozenset[Health] = frozenset({"silent", "stuck", "stalled"})

@@ -7,10 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rn_standard.direct_path.path_limits import Leg
 from rn_standard.simulate.results import Survey
 from rn_standard.simulate.twin import Twin
-from rn_standard.tools_arm.prediction import answer_to
 from roboneuron import (
     F64,
     Controller,
@@ -21,6 +19,8 @@ from roboneuron import (
     RobotProfile,
 )
 from roboneuron.feature import MotionLimiter
+from roboneuron.gate.motion.path_limits import Leg
+from roboneuron.tools.arm.prediction import answer_to
 
 _LOOK_S = 0.1
 _HOLD_S = 0.05

@@ -20,10 +20,6 @@ from rn_standard.simulate.task import policy_of
 from rn_standard.simulate.twin import Twin, driver_of, has_twin, scene_of
 from rn_standard.simulate.twin_process import TwinProcess
 from rn_standard.tasks.run_task import RunTask
-from rn_standard.tools_arm.ee_move import MoveEndEffector
-from rn_standard.tools_arm.picking import PickArguments
-from rn_standard.tools_arm.place_plans import PlaceArguments
-from rn_standard.tools_arm.pushing import PushArguments
 from roboneuron import (
     Arguments,
     CallContext,
@@ -39,6 +35,10 @@ from roboneuron import (
     Tool,
 )
 from roboneuron.feature import AuditRecord, MotionLimiter, Role, Shape, Simulator
+from roboneuron.tools.arm.ee_move import MoveEndEffector
+from roboneuron.tools.arm.picking import PickArguments
+from roboneuron.tools.arm.place_plans import PlaceArguments
+from roboneuron.tools.arm.pushing import PushArguments
 
 NAME = "simulate"
 _JOINTS_S = 2.0
@@ -172,7 +172,7 @@ class SimulateFeature(Feature[SimulateOptions]):
                 rule=rule,
                 reason=reason,
                 limits=dict(survey.limits),
-                collides_with=list(twin.moved()),
+                would_move=list(twin.moved()),
                 nearest=survey.nearest(),
                 duration_s=round(arm.passed_s - arm.rested_s, 2),
                 position_m=[round(value, 5) for value in pose.position_m.tolist()],

@@ -42,7 +42,10 @@ class Simulated(Result):
     limits: dict[str, int] = Field(
         default_factory=dict, description="limits that would act, by the number of steps"
     )
-    collides_with: list[str] = Field(default_factory=list, description="what would be moved")
+    would_move: list[str] = Field(
+        default_factory=list,
+        description="objects that would be elsewhere after it, with what the hand holds",
+    )
     nearest: list[Nearest] = Field(default_factory=list, description="the nearest first")
     duration_s: float = Field(description="of the motion")
     position_m: list[float] = Field(

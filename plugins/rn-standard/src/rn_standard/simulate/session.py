@@ -9,27 +9,12 @@ from typing import Any, NoReturn, TypeVar, cast
 
 import numpy as np
 
-from rn_standard.direct_path.allow_list import ArmPaths
-from rn_standard.direct_path.joints import check_joints, joint_commands
-from rn_standard.direct_path.path_limits import PathLimiter
-from rn_standard.sight.looker import looker_of
 from rn_standard.simulate.arm import TwinArm
 from rn_standard.simulate.results import Outcome
 from rn_standard.simulate.task import run_in_twin
 from rn_standard.simulate.twin_process import TwinProcess
 from rn_standard.tasks.moving import Mover, MoveToArguments, Places
 from rn_standard.tasks.run_task import RunTask, TaskTool
-from rn_standard.tools_arm.ee_move import MoveEndEffector
-from rn_standard.tools_arm.end_effector import EndEffectorMover
-from rn_standard.tools_arm.grip import Grip, is_blocked
-from rn_standard.tools_arm.joints import JointMover, MoveJoints
-from rn_standard.tools_arm.picking import PickArguments, Picker
-from rn_standard.tools_arm.place_plans import PlaceArguments
-from rn_standard.tools_arm.placing import Placer
-from rn_standard.tools_arm.pushing import PushArguments, Pusher
-from rn_standard.tools_arm.routes import DrivenCarrier, Waypoint, run_route
-from rn_standard.tools_arm.several_arms import OfArm
-from rn_standard.tools_ros.publish import Publish, Publishing, encode_step
 from roboneuron import (
     F64,
     CallContext,
@@ -42,7 +27,23 @@ from roboneuron import (
     Tool,
     matrix_from_quaternion,
 )
+from roboneuron.direct_path.joint_messages import joint_commands
 from roboneuron.feature import ExposedEndpoint, MotionRules, Stage, inspector_of, joint_space
+from roboneuron.gate.motion.joint_paths import check_joints
+from roboneuron.gate.motion.path_limits import PathLimiter
+from roboneuron.modules.arm_paths import ArmPaths
+from roboneuron.sight.looker import looker_of
+from roboneuron.tools.arm.ee_move import MoveEndEffector
+from roboneuron.tools.arm.end_effector import EndEffectorMover
+from roboneuron.tools.arm.grip import Grip, is_blocked
+from roboneuron.tools.arm.joints import JointMover, MoveJoints
+from roboneuron.tools.arm.picking import PickArguments, Picker
+from roboneuron.tools.arm.place_plans import PlaceArguments
+from roboneuron.tools.arm.placing import Placer
+from roboneuron.tools.arm.pushing import PushArguments, Pusher
+from roboneuron.tools.arm.routes import DrivenCarrier, Waypoint, run_route
+from roboneuron.tools.arm.several_arms import OfArm
+from roboneuron.tools.ros.publish import Publish, Publishing, encode_step
 
 T = TypeVar("T")
 MODELS = (
@@ -252,8 +253,8 @@ class Session:
         """Whether the fingers of the twin are kept from a commanded opening."""
         gripper, joints = grip.profile, self.arm.joints()
         assert gripper is not None
-        opening = gripper.to_opening(float(joints.position[joints.names.index(gripper.joint)]))
-        return is_blocked(opening, commanded)
+        opening = gripper.opening_in(joints)
+        return opening is not None and is_blocked(opening, commanded)
 
     def _move_joints(self, mover: JointMover, arguments: MoveJoints) -> None:
         mover.check(arguments)

@@ -62,7 +62,7 @@ class TwinCell:
         spec: of the policy.
         profile: of the robot.
         """
-        self._arm, self._twin, self._profile = arm, twin, profile
+        self._arm, self._twin, self._gripper = arm, twin, profile.gripper
         wanted = (*spec.cameras, *spec.optional_cameras)
         self._cameras = [camera for camera in profile.cameras if camera.role in wanted]
         self._still = StillClock(kinds=profile.kinds)
@@ -104,7 +104,7 @@ class TwinCell:
             now_s=self.now_s(),
             joints=measured,
             tcp=self._arm.poses()[0],
-            gripper_open=self._opening(measured),
+            gripper_open=None if self._gripper is None else self._gripper.opening_in(joints),
             still_s=self._still.observe(self.now_s(), measured),
             policy_done=self._is_done if self._has_acted else None,
             frames=self._frames or self._observe(joints),
@@ -115,7 +115,7 @@ class TwinCell:
         self._instruction = ""
         self._arm.hold()
 
-    def evidence(self) -> tuple[Picture, ...]:
+    def evidence(self, when: str) -> tuple[Picture, ...]:
         """See `Cell`; the simulation takes a picture of its own."""
         return ()
 
@@ -123,14 +123,13 @@ class TwinCell:
         """A camera period: new images, and an action for them."""
         joints = self._twin.joints()
         frames = self._observe(joints)
-        measured = dict(zip(joints.names, joints.position.tolist(), strict=True))
         observation = Observation(
             frames=frames,
             instruction=self._instruction,
             stamp_ns=joints.stamp_ns + 1,
             joints=joints,
             ee_pose=self._arm.poses()[0],
-            gripper_open=self._opening(measured),
+            gripper_open=None if self._gripper is None else self._gripper.opening_in(joints),
         )
         chunk, self._failure = self._twin.predict(observation)
         if chunk is None:
@@ -154,12 +153,6 @@ class TwinCell:
             frame_id=camera.frame_id,
             calibration=camera.calibration,
         )
-
-    def _opening(self, measured: Mapping[str, float]) -> float | None:
-        gripper = self._profile.gripper
-        if gripper is None or gripper.joint not in measured:
-            return None
-        return gripper.to_opening(measured[gripper.joint])
 
 
 def run_in_twin(

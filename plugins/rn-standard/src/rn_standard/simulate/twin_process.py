@@ -1,18 +1,9 @@
-"""The process of a twin: what goes wrong in a physics engine ends a simulation, not the server.
-
-`python -m rn_standard.simulate.twin_process FD` answers the requests of its parent on a pipe until
-that is closed. It runs at a lower priority than control, and has the pipe alone.
-"""
+"""The process of a twin: what goes wrong in a physics engine ends a simulation, not the server."""
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
-import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from multiprocessing.connection import Connection, Pipe
 from typing import Any, TypeVar, cast
 
 import numpy as np
@@ -32,16 +23,10 @@ from roboneuron import (
     RobotProfile,
     StateError,
 )
+from roboneuron.answering_process import AnsweringProcess
 from roboneuron.feature import build
 
 M = TypeVar("M")
-COMMAND = (sys.executable, "-m", "roboneuron.hang_watch", "rn_standard.simulate.twin_process")
-"""Command line of a twin, to which the descriptor of its pipe is added."""
-_NICE = 5
-_LEAST_S = 0.05
-_LOOK_S, _FROZEN_S = 0.1, 0.3
-"""Period of checking that the process is not stopped, and for how long it may be, as a module."""
-_END_S = 2.0
 
 
 class TwinProcess:
@@ -70,18 +55,10 @@ class TwinProcess:
     ) -> None:
         self.end_s = end_s
         self.key = (spec, repr(options))
-        own, other = Pipe()
-        self._pipe = own
-        command = [*COMMAND, str(other.fileno())]
-        with other:
-            self._process = subprocess.Popen(
-                command,
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-                pass_fds=(other.fileno(),),
-            )
+        self._process = AnsweringProcess(
+            "The twin of the cell", "rn_standard.simulate.twin_process:ServedTwin"
+        )
         try:
-            own.send(sys.path)
             self.scene_topic, self.scene_type = self._ask("make", spec, options, profile)
         except RoboNeuronError:
             self.end()
@@ -90,7 +67,7 @@ class TwinProcess:
     @property
     def is_alive(self) -> bool:
         """Whether it can be asked."""
-        return self._process.poll() is None
+        return self._process.is_alive
 
     def open(self, joints: JointSample, scene: object = None) -> None:
         """See `Twin`."""
@@ -135,45 +112,16 @@ class TwinProcess:
 
     def end(self) -> None:
         """End the process; may be called twice."""
-        self._pipe.close()
-        self._process.kill()
-        with suppress(subprocess.TimeoutExpired):
-            self._process.wait(_END_S)
+        self._process.end()
 
     def _ask(self, name: str, *arguments: object) -> Any:
         """What the twin answers. Raises NotReadyError: with what it failed, or it is gone."""
         try:
-            self._pipe.send((name, arguments))
-            self._await_answer()
-            answer, failure = self._pipe.recv()
-        except (OSError, EOFError) as error:
-            raise NotReadyError(f"The twin of the cell has ended: {error!r}.") from error
-        if failure:
-            raise NotReadyError(f"The twin of the cell failed: {failure}")
-        return answer
-
-    def _await_answer(self) -> None:
-        """Wait for an answer. Raises NotReadyError: it is late, or the process is stopped; the
-        process is killed then.
-        """
-        end_s, stops = max(time.monotonic() + _LEAST_S, self.end_s), 0
-        while not self._pipe.poll(min(_LOOK_S, max(0.0, end_s - time.monotonic()))):
-            stops = stops + 1 if self._is_stopped() else 0
-            if stops * _LOOK_S > _FROZEN_S:
-                self._process.kill()
-                raise NotReadyError(
-                    "The twin of the cell is frozen (SIGSTOP or a debugger).", hint="Call again."
-                )
-            if time.monotonic() > end_s:
-                self._process.kill()
-                raise NotReadyError("The twin of the cell did not answer in time.")
-
-    def _is_stopped(self) -> bool:
-        """True if the process is stopped; it stays one to wait for."""
-        with suppress(ChildProcessError):
-            options = os.WSTOPPED | os.WNOHANG | os.WNOWAIT
-            return os.waitid(os.P_PID, self._process.pid, options) is not None
-        return False
+            return self._process.ask(name, *arguments, end_s=self.end_s)
+        except NotReadyError:
+            raise
+        except RoboNeuronError as error:
+            raise NotReadyError(f"The twin of the cell failed: {error}") from error
 
 
 class _NoTopics:
@@ -199,7 +147,7 @@ class _NoTopics:
         return 0
 
 
-class _Served:
+class ServedTwin:
     """The twin and the policy, and how they are made."""
 
     def __init__(self) -> None:
@@ -239,27 +187,6 @@ class _Served:
         except RoboNeuronError as error:
             return None, str(error)
 
-    def answer(self, name: str, arguments: tuple[object, ...]) -> object:
-        """Do what is asked."""
-        return getattr(self if hasattr(self, name) else self.twin, name)(*arguments)
-
-
-def serve(pipe: Connection) -> None:
-    """Answer until the other end is closed; a failure is an answer too."""
-    sys.path[:] = pipe.recv()
-    served = _Served()
-    while True:
-        try:
-            name, arguments = pipe.recv()
-        except (EOFError, OSError):
-            return
-        try:
-            answer, failure = served.answer(name, arguments), ""
-        except Exception as error:  # the border to a driver's own code
-            answer, failure = None, f"{type(error).__name__}: {error}"
-        pipe.send((answer, failure))
-
-
-if __name__ == "__main__":
-    os.nice(_NICE)
-    serve(Connection(int(sys.argv[1])))
+    def __getattr__(self, name: str) -> Any:
+        """A method of the twin."""
+        return getattr(self.twin, name)

@@ -5,10 +5,11 @@ end of the server.
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
-from roboneuron import CallContext, RefusedError, StateError, Tool
+from roboneuron import CallContext, StateError, Tool
+from roboneuron.feature import StillReason
 
 _OURS = frozenset({"set_instruction"})
 """Tools that would change the policy's behaviour during a task."""
@@ -69,9 +70,18 @@ class TaskArbiter:
 
     def admit(self, tool: Tool, context: CallContext) -> None:
         """Refuse calls that would change the policy's behaviour during a task."""
-        if tool.name in _OURS and self._halt is not None:
-            raise RefusedError(
-                f"A task runs: {self._owner}.",
-                hint="Cancel that call, or call stop_inference, which ends the task too.",
-                rule="ownership",
-            )
+        if tool.name in _OURS:
+            for reason in self.still_reasons():
+                raise reason.refusal()
+
+    def still_reasons(self) -> Sequence[StillReason]:
+        """What a task keeps from moving the robot: everything else."""
+        if self._halt is None:
+            return ()
+        reason = StillReason(
+            rank="claim",
+            rule="ownership",
+            message=f"A task runs: {self._owner}.",
+            hint="Cancel that call, or call stop_inference, which ends the task too.",
+        )
+        return (reason,)

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from rn_standard.sight.rays import crossing, rays_of
 from rn_standard.tasks.monitor import Score
 from roboneuron import Observation
+from roboneuron.sight.rays import rays_of
 
 F64 = NDArray[np.float64]
 Colour = Literal["red", "orange", "yellow", "green", "blue", "purple"]
@@ -52,7 +52,7 @@ def locate(observation: Observation, colour: str) -> F64 | str:
     found = [
         (*meeting, any(r.is_coarse for r in pair))
         for pair in pairs
-        if (meeting := crossing(*pair)) is not None
+        if (meeting := pair[0].meeting(pair[1])) is not None
     ]
     if not found:
         return "the views are too alike to tell a place"

@@ -15,9 +15,9 @@ from datetime import UTC, datetime
 from functools import partial
 from typing import TYPE_CHECKING
 
-from rn_standard.direct_path.fields import check_path, load_type, read_value
 from rn_standard.tasks.options import EventOptions, ThresholdOptions
 from roboneuron import ConfigurationError, Host, InvalidInputError, Resource, RoboNeuronError
+from roboneuron.direct_path.fields import check_path, load_type, read_value
 from roboneuron.feature import EXPLANATIONS, FAULTS, Health, ModuleView, check_topic
 
 if TYPE_CHECKING:

@@ -11,12 +11,9 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from rn_standard.selection.options import named_models
-from rn_standard.sight.inputs import Inputs, pose_of, pose_topic
 from rn_standard.tasks.approval import Approval, Subject
 from rn_standard.tasks.arbiter import TaskArbiter
 from rn_standard.tasks.events import LEADS, MONITORS, TASKS, EventLog, Watching, check_thresholds
-from rn_standard.tasks.examples import EXAMPLES
 from rn_standard.tasks.history import MotionFacts, TaskHistory
 from rn_standard.tasks.hooks import MonitorSpec
 from rn_standard.tasks.journal import MotionJournal
@@ -32,6 +29,7 @@ from rn_standard.tasks.short_words import WORDS
 from rn_standard.tasks.task_calls import TaskCalls
 from rn_standard.teleoperation.feature import TELEOPERATION, Teleoperation
 from roboneuron import (
+    CallContext,
     ConfigurationError,
     Feature,
     Host,
@@ -42,7 +40,49 @@ from roboneuron import (
     Tool,
     matrix_from_quaternion,
 )
-from roboneuron.feature import CallPhase, Config, Interceptor
+from roboneuron.feature import CallPhase, Config, Interceptor, StillReason
+from roboneuron.selection.options import named_models
+from roboneuron.sight.inputs import Inputs, pose_of, pose_topic
+
+EXAMPLES: dict[str, dict[str, object]] = {
+    "the red cube is lifted and held for a second": {
+        "kind": "held",
+        "for_s": 1.0,
+        "of": {
+            "kind": "all",
+            "of": [
+                {"kind": "gripper_holds", "least_open": 0.15, "most_open": 0.85},
+                {
+                    "kind": "monitor",
+                    "name": "colour-lifted",
+                    "options": {"colour": "red", "height_m": 0.1},
+                },
+            ],
+        },
+    },
+    "the blue cube lies in a box on the table": {
+        "kind": "monitor",
+        "name": "object-in-region",
+        "options": {"colour": "blue", "lower_m": [0.4, 0.1, 0.0], "upper_m": [0.6, 0.3, 0.1]},
+    },
+    "the arm is over the table and stands": {
+        "kind": "all",
+        "of": [
+            {"kind": "tcp_in", "lower_m": [0.3, -0.3, 0.2], "upper_m": [0.7, 0.3, 0.6]},
+            {"kind": "still", "for_s": 0.5},
+        ],
+    },
+    "the policy says that it has finished": {"kind": "policy_done"},
+    "the temperature is below 60": {
+        "kind": "field",
+        "topic": "motor_temperature",
+        "type": "std_msgs/msg/Float64",
+        "field": "data",
+        "at_most": 60.0,
+    },
+}
+"""Predicate by its meaning."""
+
 
 F64 = NDArray[np.float64]
 PREDICATES_URI = "roboneuron://tasks/predicates"
@@ -145,6 +185,12 @@ class TasksFeature(Feature[TasksSections]):
         if self._watching is not None:
             self._watching.start()
 
+    def still_reasons(self, asker: CallContext | None) -> Sequence[StillReason]:
+        """See `Feature.still_reasons`."""
+        if self._arbiter is None:
+            return ()
+        return (*self._arbiter.still_reasons(), *self._approval.still_reasons(asker))
+
     @property
     def motions(self) -> Sequence[str]:
         """See `Feature.motions`."""
@@ -170,13 +216,18 @@ class TasksFeature(Feature[TasksSections]):
             took_s=round(end.took_s, 3),
             **({} if end.monitor is None else {"monitor": asdict(end.monitor)}),
         )
+        facts = self._scene(end.took_s)
+        if end.others_moved:
+            facts["objects_moved"] = [
+                {"object": name, "by_m": by_m} for name, by_m in end.others_moved.items()
+            ]
         self._history.note(
             instruction,
             end.outcome,
             end.reason,
             attempts=end.attempts,
             took_s=end.took_s,
-            **self._scene(end.took_s),
+            **facts,
         )
 
     def _note_failure(self, instruction: str, error: RoboNeuronError) -> None:

@@ -115,13 +115,14 @@ class TaskHistory:
         *,
         attempts: int = 0,
         took_s: float = 0.0,
+        at: datetime | None = None,
         **facts: Unpack[MotionFacts],
     ) -> None:
-        """Add a completed motion. A failed write is only logged, because the history must not fail
-        a task.
+        """Add a motion that ended `at` that time, now if None. A failed write is only logged,
+        because the history must not fail a task.
         """
         task = PastTask(
-            at=self._now().isoformat(timespec="seconds"),
+            at=(at or self._now()).isoformat(timespec="seconds"),
             instruction=instruction[:_MOST_TEXT],
             outcome=outcome,
             attempts=attempts,

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
+import math
 import threading
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import UTC, datetime
 from typing import Literal, Protocol, runtime_checkable
 
 from pydantic import Field
@@ -21,6 +22,8 @@ _WORDS = 200
 _TOGETHER_S = 2.0
 """Calls of one tool and client with pauses shorter than this are one entry, if each is short."""
 _SHORT_S = 0.3
+_BUCKET_S = 0.25
+"""Speeds are kept by parts of a second."""
 _STOPS = frozenset({"stop_motion", "emergency_stop"})
 _LEADS = frozenset({"lead_arm", "hand_back"})
 _OTHERS = frozenset({"play_recording"})
@@ -61,7 +64,9 @@ class MeasuresSpeed(Protocol):
     """A feature that measures the speed of the TCP."""
 
     def fastest_m_s(self, since_s: float) -> float | None:
-        """Highest speed since a monotonic time [s], of any arm [m/s]; None if not measured."""
+        """Highest speed since a monotonic time [s], to `_BUCKET_S`, of any arm [m/s]; None if not
+        measured.
+        """
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -80,6 +85,8 @@ class _Row:
     words: str
     begun: _MotionStart
     ended_s: float
+    at: datetime
+    facts: MotionFacts
     reason: str
     calls: int = 1
 
@@ -101,6 +108,7 @@ class MotionJournal:
         self._host, self._history = host, history
         self._lock = threading.Lock()
         self._begun: dict[int, _MotionStart] = {}
+        self._stopped_s = -math.inf
         self._row: _Row | None = None
         host.events.call_begun.listen(self._on_begin)
         host.events.call_ended.listen(self._on_end)
@@ -110,10 +118,13 @@ class MotionJournal:
         speed = self._fastest(time.monotonic() - past_s) if past_s > 0 else None
         return None if speed is None else round(speed, 3)
 
-    def facts_since(self, begun: _MotionStart) -> MotionFacts:
-        """Highest speed, and the limits that acted, since then."""
+    def facts_since(self, begun: _MotionStart, *, has_failed: bool = False) -> MotionFacts:
+        """Highest speed, and the limits that acted, since then. Of a call that failed, which may
+        have moved nothing, a part of a second that began before it is left out.
+        """
         facts: MotionFacts = {}
-        if (speed := self._fastest(begun.began_s)) is not None:
+        speed = self._fastest(begun.began_s + (_BUCKET_S if has_failed else 0.0))
+        if speed is not None:
             facts["max_tcp_speed_m_s"] = round(speed, 3)
         before, now = _limits(begun.report), _limits(self._host.modules.view("control").report)
         acted = {name: count - before.get(name, 0) for name, count in now.items()}
@@ -129,6 +140,8 @@ class MotionJournal:
             self._write(row)
 
     def _on_begin(self, call: IncomingCall) -> None:
+        if call.name in _STOPS:
+            self._stopped_s = time.monotonic()
         # judged at its end: what comes before a message is sent has to be short
         report = self._host.loop.modules.slot("control").report
         self._begun[id(call)] = _MotionStart(began_s=time.monotonic(), report=report)
@@ -142,20 +155,27 @@ class MotionJournal:
         call, answer = ended.call, ended.answer
         structured = {} if answer is None else answer.structured
         outcome = ended.code or ("done" if ended.outcome == "answered" else ended.outcome)
+        if ended.code and call.name not in _STOPS and self._stopped_s > begun.began_s:
+            outcome = "stopped"
         row = _Row(
             key=(call.name, call.context.who, str(structured.get("outcome") or outcome)),
             words=_words(call.arguments),
             begun=begun,
             ended_s=time.monotonic(),
+            at=datetime.now(UTC),
+            facts=self.facts_since(begun, has_failed=ended.error is not None),
             reason="" if ended.error is None else ended.error.message,
         )
-        moved = structured.get("objects_moved") or structured.get("pushed")
+        told = ("objects_moved", "pushed", "others_moved")
+        moved = next((structured[name] for name in told if structured.get(name)), None)
         objects = list(moved) if isinstance(moved, list) else []
         with self._lock:
             last = self._row
             is_short = ended.took_s < _SHORT_S and not objects
             if is_short and last is not None and last.is_followed_by(row):
-                last.calls, last.ended_s, last.words = last.calls + 1, row.ended_s, row.words
+                row.begun, row.calls = last.begun, last.calls + 1
+                row.facts = self.facts_since(row.begun, has_failed=ended.error is not None)
+                self._row = row
                 return
             self._row = row if is_short else None
         if last is not None:
@@ -165,12 +185,11 @@ class MotionJournal:
 
     def _write(self, row: _Row, objects: list[object] | None = None) -> None:
         tool, who, outcome = row.key
-        facts = self.facts_since(row.begun)
-        facts |= {"tool": tool, "who": who, "calls": row.calls}
+        facts: MotionFacts = {**row.facts, "tool": tool, "who": who, "calls": row.calls}
         if objects:
             facts["objects_moved"] = objects
         took_s = row.ended_s - row.begun.began_s
-        self._history.note(row.words, outcome, row.reason, took_s=took_s, **facts)
+        self._history.note(row.words, outcome, row.reason, took_s=took_s, at=row.at, **facts)
 
     def _fastest(self, since_s: float) -> float | None:
         loaded = self._host.features.loaded.values()

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from rn_standard.direct_path.fields import read_value
 from rn_standard.tasks.monitor import Monitor, Score
 from rn_standard.tasks.predicates import (
     All,
@@ -23,6 +22,7 @@ from rn_standard.tasks.predicates import (
     flat,
 )
 from rn_standard.tasks.snapshot import Snapshot
+from roboneuron.direct_path.fields import read_value
 
 MonitorFor = Callable[[MonitorSays], Monitor]
 """Builds the monitor named by a predicate."""

@@ -4,12 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from rn_standard.inference.instruction_text import InstructionText
-from rn_standard.selection.choosing import choose
-from rn_standard.selection.options import NamedModelOptions, named_models
-from rn_standard.selection.requests import StartChosenInference
 from rn_standard.tasks.starting import ParallelStart, requests_for
-from rn_standard.tools_loop.results import ModuleSummary
 from roboneuron import (
     Arguments,
     BackendSpec,
@@ -17,10 +12,14 @@ from roboneuron import (
     Host,
     NoArguments,
     Result,
-    RoboNeuronError,
     Tool,
 )
 from roboneuron.feature import ModuleKind, Registry
+from roboneuron.modules.inference.instruction_text import InstructionText
+from roboneuron.selection.feature import why_not_started
+from roboneuron.selection.options import NamedModelOptions, named_models
+from roboneuron.selection.requests import StartChosenInference
+from roboneuron.tools.loop.results import ModuleSummary
 
 
 class StartAll(Arguments):
@@ -88,11 +87,15 @@ def start_all_tool(host: Host) -> Tool[StartAll]:
             took_s=round(done.total_s, 3),
         )
 
+    first = ""
+    if host.loop.robot_facts.kind == "simulated":
+        first = "; its start sets arm and table as at first"
     return Tool(
         name="start_all",
         title="Start everything",
         description="Start everything that is configured and does not run yet: robot, cameras, "
-        f"controller and policy, in parallel. The robot is the {host.loop.robot_facts}. Returns "
+        f"controller and policy, in parallel. The robot is the {host.loop.robot_facts}{first}. "
+        "Returns "
         "when everything works; "
         "if something fails, "
         "what this call started is stopped again. Then call run_task.",
@@ -137,7 +140,7 @@ def list_models_tool(host: Host) -> Tool[NoArguments]:
 
 
 def _info(name: str, model: NamedModelOptions, host: Host, running: bool) -> ModelInfo:
-    problem = _problem(name, host)
+    problem = why_not_started(name, host)
     return ModelInfo(
         name=name,
         summary=model.summary or _summary(host.registry, model.backend),
@@ -150,16 +153,6 @@ def _info(name: str, model: NamedModelOptions, host: Host, running: bool) -> Mod
         problem=problem,
         running=running,
     )
-
-
-def _problem(name: str, host: Host) -> str:
-    try:
-        choose(
-            "inference", host.config, host.registry, StartChosenInference(model=name, options={})
-        )
-    except RoboNeuronError as error:
-        return str(error)
-    return ""
 
 
 def _summary(registry: Registry, backend: str) -> str:

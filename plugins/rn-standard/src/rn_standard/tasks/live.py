@@ -2,35 +2,32 @@
 
 from __future__ import annotations
 
-import io
-import math
 import threading
 import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 
-from rn_standard.selection.requests import StartChosenInference
-from rn_standard.sight.inputs import Inputs, image_topic, pose_of, pose_topic
 from rn_standard.tasks.snapshot import ArmSnapshot, Snapshot, StillClock
 from rn_standard.tasks.task_robot import PolicyState
+from rn_standard.tasks.task_time import TaskTime, TimesTasks
 from rn_standard.teleoperation.feature import TELEOPERATION, Teleoperation
 from roboneuron import (
     ConfigurationError,
     Frame,
-    GripperProfile,
     Host,
     InvalidInputError,
     NotReadyError,
     Picture,
     Pose,
-    RefusedError,
     RobotProfile,
 )
 from roboneuron.feature import ModuleKind, ModuleView, Report, Stage
+from roboneuron.selection.requests import StartChosenInference
+from roboneuron.sight.inputs import Inputs, image_topic, pose_of, pose_topic
+from roboneuron.sight.marks import marked
 
 _TOLD_S = 5.0
 _IMAGES_S = 3.0
-_QUALITY = 85
 _DONE = ("backend.done", "done")
 
 
@@ -67,11 +64,20 @@ class LiveCell:
         self._halt = halt
         self._why = why
         self._starts = host.loop.starts
+        # of the request: a stop before the task begins ends it too
+        self._arm_stops = self._starts.arm_stops
         self._topics = dict(topics)
         self._cameras = list(cameras)
-        self._inputs = Inputs(host)
+        clock = host.clock(host.config.namespace)
+        self._time = (
+            clock.task_time(halt, lambda: bool(self._lost()))
+            if isinstance(clock, TimesTasks)
+            else TaskTime(halt)
+        )
+        self._inputs = Inputs(host, age_factor=self._time.age_factor)
         self._still = StillClock(kinds=None if profile is None else profile.kinds)
         self._instruction = ""
+        self._last_word: bool | None = None
         self._count = self._errors = self._ticket = 0
         self._pid: int | None = None
         self._stops: int | None = None
@@ -84,6 +90,7 @@ class LiveCell:
             InvalidInputError: a topic of a predicate is used here with another type.
             RoboNeuronError: ROS cannot be joined, or a topic's type is not installed.
         """
+        self._time.open()
         space = self._host.config.namespace
         self._inputs.open(f"/{space}/joint_states", "sensor_msgs/msg/JointState")
         for arm in ("", *self._arms):
@@ -111,11 +118,11 @@ class LiveCell:
 
     def now_s(self) -> float:
         """See `TaskRobot`."""
-        return time.monotonic()
+        return self._time.now_s()
 
     def wait(self, seconds: float) -> bool:
         """See `TaskRobot`."""
-        return self._halt.wait(seconds)
+        return self._time.wait(seconds)
 
     def begin(self, instruction: str) -> None:
         """See `TaskRobot`. If no backend runs, it is started, and waits for the instruction.
@@ -123,9 +130,14 @@ class LiveCell:
         Raises:
             StateError: there was a stop since the task has begun; motion needs a new start.
         """
-        self._check_not_latched()
+        self._time.hold_policy()
+        self._give(instruction)
+        self._time.let_policy_act()
+
+    def _give(self, instruction: str) -> None:
+        self._host.loop.emergency_stop.check()
         if self._stops is None:
-            self._stops = self._starts.permit()
+            self._stops = self._starts.permit(self._arm_stops)
         if self._host.modules.view("inference").phase != "running":
             self._start_policy()
         self._starts.check(self._stops)
@@ -139,7 +151,7 @@ class LiveCell:
         )
         if self._halt.is_set():
             return
-        self._instruction = instruction
+        self._instruction, self._last_word = instruction, None
         self._ticket, refused = self._starts.give(instruction, _TOLD_S)
         if refused:
             raise InvalidInputError(
@@ -155,6 +167,7 @@ class LiveCell:
         section = section.model_copy(update={"instruction": ""})
         config = plan.config.model_copy(update={"inference": section})
         loop.start_selected(replace(plan, config=config), self._stage, self._halt)
+        self._time.hold_policy()
 
     def policy(self) -> PolicyState:
         """See `TaskRobot`."""
@@ -201,7 +214,14 @@ class LiveCell:
 
     def look(self) -> Snapshot:
         """See `TaskRobot`."""
-        space, now_s = self._host.config.namespace, self.now_s()
+        space = self._host.config.namespace
+        poses = [pose_topic(space, arm) for arm in ("", *self._arms)]
+        images = [self._image_topic(camera) for camera in self._cameras]
+        self._time.await_measured(
+            self._inputs,
+            {"robot": [f"/{space}/joint_states"], "control": poses, "perception": images},
+        )
+        now_s = self.now_s()
         message = self._inputs.newest(f"/{space}/joint_states")
         joints: dict[str, float] | None = None
         effort: dict[str, float] = {}
@@ -220,9 +240,12 @@ class LiveCell:
             joints=joints,
             effort=effort,
             tcp=self._tcp(""),
-            gripper_open=_opening(gripper, joints),
+            gripper_open=None if gripper is None else gripper.opening_in(joints),
             arms={
-                name: ArmSnapshot(tcp=self._tcp(name), gripper_open=_opening(arm.gripper, joints))
+                name: ArmSnapshot(
+                    tcp=self._tcp(name),
+                    gripper_open=arm.opening_in(joints),
+                )
                 for name, arm in self._arms.items()
             },
             still_s=None if joints is None else self._still.observe(now_s, joints),
@@ -239,13 +262,15 @@ class LiveCell:
         ended.
         """
         if self._instruction:
+            self._last_word = self._done()
             self._instruction = ""
             self._starts.withdraw(self._ticket)
+        self._time.end()
 
-    def evidence(self) -> tuple[Picture, ...]:
+    def evidence(self, when: str) -> tuple[Picture, ...]:
         """See `TaskRobot`."""
         frames = [frame for camera in self._cameras if (frame := self._frame(camera)) is not None]
-        return tuple(_jpeg(frame) for frame in frames)
+        return tuple(marked(frame, {}, f"{frame.camera} {when}") for frame in frames)
 
     def _report_of_this(self, view: ModuleView) -> Report | None:
         """The newest report, once it is about the last instruction; also of a policy switched to
@@ -261,22 +286,16 @@ class LiveCell:
         return view.process is not None and view.process.pid == self._pid
 
     def _done(self) -> bool | None:
+        if not self._instruction:
+            return self._last_word
         report = self._report_of_this(self._host.modules.view("inference"))
-        if not self._instruction or report is None or report.actions_for_instruction == 0:
+        if report is None or report.actions_for_instruction == 0:
             return None
         said = next((report.metrics[name] for name in _DONE if name in report.metrics), "")
         try:
             return float(said) >= 0.5 if said else None
         except ValueError:
             return None
-
-    def _check_not_latched(self) -> None:
-        if self._host.loop.emergency_stop.is_latched():
-            raise RefusedError(
-                "The emergency stop is latched: nothing would move.",
-                hint="A person releases it: see reset_emergency_stop.",
-                rule="emergency_stop",
-            )
 
     def _frames(self) -> dict[str, Frame]:
         roles = self._host.loop.camera_roles()
@@ -288,20 +307,3 @@ class LiveCell:
 
     def _frame(self, camera: str) -> Frame | None:
         return self._inputs.frame(self._image_topic(camera), camera, self._profile)
-
-
-def _opening(gripper: GripperProfile | None, joints: Mapping[str, float] | None) -> float | None:
-    """Measured opening of a gripper; None if not measured, or not finite."""
-    if gripper is None or joints is None or gripper.joint not in joints:
-        return None
-    position = joints[gripper.joint]
-    # `to_opening` would make 0 or 1 of it
-    return gripper.to_opening(position) if math.isfinite(position) else None
-
-
-def _jpeg(frame: Frame) -> Picture:
-    from PIL import Image as Pillow  # heavy
-
-    buffer = io.BytesIO()
-    Pillow.fromarray(frame.image).save(buffer, "JPEG", quality=_QUALITY)
-    return Picture(data=buffer.getvalue(), mime_type="image/jpeg")

@@ -6,14 +6,15 @@ import numpy as np
 
 from rn_standard.tasks.moving import MovedTo, Mover, MoveToArguments, Places, PoseNow
 from rn_standard.tasks.run_task import profile_of
-from rn_standard.tools_arm.absolute import yaw_of
-from rn_standard.tools_arm.motion_meter import MotionMeter, joint_margin
 from roboneuron import (
     CallContext,
     Host,
     RoboNeuronError,
     Tool,
 )
+from roboneuron.tools.arm.absolute import yaw_of
+from roboneuron.tools.arm.grip import Grip
+from roboneuron.tools.arm.motion_meter import MotionMeter, joint_margin
 
 _JOINTS_S = 0.5
 
@@ -61,6 +62,7 @@ class MoveTo:
             "position_m": np.round(position, 4).tolist(),
             "yaw_deg": round(float(np.degrees(yaw_of(rotation))), 1),
             "joint_margin": joint_margin(profile, joints),
+            "holding": Grip(self._host, self._host.gate, exposed, arm).holding(),
         }
 
 
@@ -69,9 +71,9 @@ def move_to_tool(mover: MoveTo, places: Places) -> Tool[MoveToArguments]:
     return Tool(
         name="move_to",
         title="Move to a posture, place, position or object",
-        description="Move the arm to a named posture, or in straight lines to a place, a position "
-        "or over an object (needs start_control). "
-        "Refused while a policy runs: stop_inference first. Returns when it is measured there.",
+        description="Move the arm to a named posture, through a gesture, or in straight lines to a "
+        "place, a position or over an object (needs start_control). Refused while a policy has an "
+        "instruction.",
         arguments=MoveToArguments,
         result=MovedTo,
         handler=mover,

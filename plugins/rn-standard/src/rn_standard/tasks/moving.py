@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from rn_standard.sight.looker import looker_of, seen_target
-from rn_standard.sight.marks import name_of
-from rn_standard.tasks.options import PlaceOptions, PostureOptions, TasksSections
+from rn_standard.tasks.options import GestureOptions, PlaceOptions, PostureOptions, TasksSections
 from rn_standard.tasks.run_task import profile_of
-from rn_standard.tools_arm.absolute import go_to, wanted_rotation
-from rn_standard.tools_arm.grip import check_gripper
-from rn_standard.tools_arm.options import ArmToolsOptions, fastest
 from roboneuron import (
     Arguments,
     ArmProfile,
@@ -29,6 +24,11 @@ from roboneuron import (
     StateError,
     matrix_from_quaternion,
 )
+from roboneuron.sight.looker import looker_of, seen_target
+from roboneuron.sight.marks import name_of
+from roboneuron.tools.arm.absolute import go_to, wanted_rotation
+from roboneuron.tools.arm.grip import check_gripper
+from roboneuron.tools.arm.options import fastest
 
 HOME = "home"
 """Name of the robot's own safe posture, unless configured otherwise."""
@@ -47,7 +47,7 @@ CallArm = Callable[[str, Mapping[str, object], CallContext], Awaitable[dict[str,
 class MoveToArguments(Arguments):
     """Arguments of move_to."""
 
-    name: str | None = Field(default=None, description="Posture or place.")
+    name: str | None = Field(default=None, description="Posture, gesture or place.")
     arm: str = Field(default="", description="Which of several arms.")
     position_m: Annotated[list[float], Field(min_length=3, max_length=3)] | None = Field(
         default=None, description="Of the TCP, base frame."
@@ -73,7 +73,7 @@ class MovedTo(Result):
     """The arm was measured at the target."""
 
     name: str
-    kind: str = Field(description="posture, place, position or object")
+    kind: str = Field(description="posture, gesture, place, position or object")
     error: float = Field(
         description="largest distance from a joint's target [rad or m], or of the TCP [m]"
     )
@@ -84,10 +84,11 @@ class MovedTo(Result):
         default={}, description="joint nearest to its limit, distance [rad or m]"
     )
     max_tcp_speed_m_s: float | None = None
+    holding: bool | None = Field(default=None, description="it holds something; null: unknown")
 
 
 class Places:
-    """Named postures and places of move_to."""
+    """Named postures, gestures and places of move_to."""
 
     def __init__(self, host: Host, options: TasksSections) -> None:
         self._host = host
@@ -102,14 +103,36 @@ class Places:
             own[HOME] = PostureOptions(joints=joints, summary="the robot's own safe posture")
         return own | self._options.postures
 
+    def gestures(self) -> dict[str, GestureOptions]:
+        """Configured gestures, and the robot's own."""
+        profile = profile_of(self._host)
+        own = {} if profile is None else profile.gestures
+        return {
+            name: GestureOptions(steps=tuple(map(dict, steps))) for name, steps in own.items()
+        } | self._options.gestures
+
+    def motions(self) -> dict[str, tuple[str, list[dict[str, float]]]]:
+        """Kind and steps, positions by joint, of each posture and gesture."""
+        gestures = {
+            name: ("gesture", list(gesture.steps) * gesture.times)
+            for name, gesture in self.gestures().items()
+        }
+        return gestures | {
+            name: ("posture", [posture.joints]) for name, posture in self.postures().items()
+        }
+
     def places(self) -> Mapping[str, PlaceOptions]:
         """Configured places."""
         return self._options.places
 
     def choices(self) -> dict[str, str]:
         """Summary by name."""
-        postures = {name: posture.summary for name, posture in self.postures().items()}
-        return postures | {name: place.summary for name, place in self.places().items()}
+        named: dict[str, PostureOptions | GestureOptions | PlaceOptions] = {
+            **self.postures(),
+            **self.gestures(),
+            **self.places(),
+        }
+        return {name: one.summary for name, one in named.items()}
 
 
 class Mover:
@@ -139,25 +162,55 @@ class Mover:
             NotReadyError: the tool that moves the arm is missing.
             RoboNeuronError: as move_joints and move_ee.
         """
-        postures, places = self._places.postures(), self._places.places()
-        if name in postures:
-            order: dict[str, object] = {"positions": dict(postures[name].joints)}
+        motions, places = self._places.motions(), self._places.places()
+        if name in motions:
+            kind, steps = motions[name]
+            return await self._through(name, kind, steps, speed, context)
+        if name in places:
+            return await self._to_place(name, places[name], speed, context)
+        known = (
+            ", ".join(self._places.choices())
+            or "none; a person adds them as [postures.<name>], [gestures.<name>] or [places.<name>]"
+        )
+        raise InvalidInputError(
+            f"There is no posture, gesture or place {name[:64]!r}.",
+            hint=f"There are: {known}.",
+            path="name",
+        )
+
+    async def _through(
+        self,
+        name: str,
+        kind: str,
+        steps: Sequence[Mapping[str, float]],
+        speed: float,
+        context: CallContext,
+    ) -> MovedTo:
+        """Move the joints through postures. Raises StateError after a stop on the way."""
+        check = self._stop_check(name)
+        took_s, error = 0.0, 0.0
+        for joints in steps:
+            check()
+            order: dict[str, object] = {"positions": dict(joints)}
             if speed < 1:
                 usual = await self._call("move_joints", order, _Judged(context))
                 order["duration_s"] = usual["duration_s"] / speed
             answer = await self._call("move_joints", order, context)
-            return MovedTo(
-                name=name, kind="posture", error=answer["error"], took_s=answer["duration_s"]
-            )
-        if name in places:
-            return await self._to_place(name, places[name], speed, context)
-        known = (
-            ", ".join({**postures, **places})
-            or "none; a person adds them as [postures.<name>] or [places.<name>]"
-        )
-        raise InvalidInputError(
-            f"There is no posture or place {name[:64]!r}.", hint=f"There are: {known}.", path="name"
-        )
+            took_s, error = took_s + answer["duration_s"], answer["error"]
+        return MovedTo(name=name, kind=kind, error=error, took_s=round(took_s, 3))
+
+    def _stop_check(self, name: str) -> Callable[[], None]:
+        """A function that raises StateError once there was a stop after now: what is left of the
+        motion must not be made.
+        """
+        starts = self._host.loop.starts
+        stops = starts.arm_stops
+
+        def check() -> None:
+            if starts.arm_stops != stops:
+                raise StateError(f"It was stopped on its way to {name!r}: {starts.reason}.")
+
+        return check
 
     async def go(self, arguments: MoveToArguments, context: CallContext) -> MovedTo:
         """Move to the target of a call, and measure the motion.
@@ -244,8 +297,7 @@ class Mover:
         context: CallContext,
     ) -> tuple[float, float]:
         """Move in straight parts; return the distance left [m] and the time taken [s]."""
-        starts = self._host.loop.starts
-        stops, took_s = starts.arm_stops, 0.0
+        check, took_s = self._stop_check(name), 0.0
         of_arm: dict[str, object] = {"arm": arm} if arm else {}
 
         async def pose_now() -> tuple[F64, F64]:
@@ -254,10 +306,6 @@ class Mover:
         async def move(part: dict[str, float]) -> None:
             nonlocal took_s
             took_s += (await self._call("move_ee", {**of_arm, **part}, context))["duration_s"]
-
-        def check() -> None:
-            if starts.arm_stops != stops:
-                raise StateError(f"It was stopped on its way to {name!r}: {starts.reason}.")
 
         error_m = await go_to(
             pose_now,
@@ -273,8 +321,9 @@ class Mover:
 
     def _fastest(self) -> tuple[float, float]:
         feature = self._host.features.loaded.get("tools-arm")
-        options = feature.options if feature is not None else ArmToolsOptions()
-        return fastest(options, self._host.loop.limits)
+        if feature is None:
+            return (1.0, 1.0)
+        return fastest(feature.options, self._host.loop.limits)
 
     async def _call_tool(
         self, tool_name: str, arguments: Mapping[str, object], context: CallContext
@@ -316,9 +365,18 @@ def check_places(options: TasksSections) -> None:
     Raises:
         InvalidInputError: names the entry.
     """
-    for name in {*options.postures} & {*options.places}:
-        raise InvalidInputError(f"{name!r} is a posture and a place.")
-    for name in {*options.postures, *options.places} & {"hold", "stop"}:
+    kinds: dict[str, Mapping[str, object]] = {
+        "posture": options.postures,
+        "gesture": options.gestures,
+        "place": options.places,
+    }
+    seen: dict[str, str] = {}
+    for kind, names in kinds.items():
+        for name in names:
+            if name in seen:
+                raise InvalidInputError(f"{name!r} is a {seen[name]} and a {kind}.")
+            seen[name] = kind
+    for name in seen.keys() & {"hold", "stop"}:
         raise InvalidInputError(f"{name!r} cannot be a name: run_task uses it for on_end.")
     for name, place in options.places.items():
         if (

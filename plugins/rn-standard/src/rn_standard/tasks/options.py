@@ -96,6 +96,18 @@ class PostureOptions(_Section):
     summary: str = Field(default="", description="one line for agents")
 
 
+class GestureOptions(_Section):
+    """`[gestures.<name>]`: postures that move_to goes through, one after the other."""
+
+    steps: Annotated[tuple[dict[str, Finite], ...], Field(strict=False)] = Field(
+        min_length=1, max_length=50, description="positions by joint [rad, m]; others stay"
+    )
+    times: Annotated[int, Field(ge=1, le=20)] = Field(
+        default=1, description="how often they are gone through"
+    )
+    summary: str = Field(default="", description="one line for agents")
+
+
 class PlaceOptions(_Section):
     """`[places.<name>]`: a pose of the TCP in the base frame for move_to."""
 
@@ -159,6 +171,9 @@ class TasksSections(_Section):
     )
     places: dict[PlaceName, PlaceOptions] = Field(
         default_factory=dict, description="places by name"
+    )
+    gestures: dict[PlaceName, GestureOptions] = Field(
+        default_factory=dict, description="gestures by name"
     )
     events: EventOptions = Field(
         default=EventOptions(), description="what clients may subscribe to"

@@ -11,7 +11,7 @@ FEATURE = FeatureSpec(
     "to subscribe to.",
     target="rn_standard.tasks.feature:TasksFeature",
     config="rn_standard.tasks.options:TasksSections",
-    sections=("tasks", "postures", "places", "events"),
+    sections=("tasks", "postures", "gestures", "places", "events"),
     brings="rn_standard.tasks.hooks:MonitorSpec",
     needs=("selection",),
 )

@@ -10,8 +10,7 @@ from roboneuron import InvalidInputError
 
 MOST_PARTS = 32
 UNTIL = (
-    '{"kind": K, ...} by K with its fields: monitor (name: colour-lifted, with options: '
-    '{"colour": "red"}; '
+    '{"kind": K, ...}, by K: monitor (name: colour-lifted, options: {"colour": "red"}; '
     "object-in-region; scene-changed), tcp_in (lower_m, upper_m: [x, y, z]), joints_in (joints: "
     "{name: [low, high]}), "
     "gripper_holds, still (for_s), policy_done, field (topic, type, field; at_least, at_most or "

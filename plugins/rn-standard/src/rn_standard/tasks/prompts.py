@@ -41,11 +41,7 @@ PROMPTS: Mapping[str, TaskPrompt] = {
         description="Pick up an object of a colour and say whether it worked.",
         arguments={"colour": "red, orange, yellow, green, blue or purple"},
         text="Make sure that everything runs (start_all). Then call run_task with the instruction "
-        '"pick up the {colour} cube", max_attempts 3, and as until: {{"kind": "held", "for_s": 1, '
-        '"of": {{"kind": '
-        '"all", "of": [{{"kind": "gripper_holds"}}, {{"kind": "monitor", "name": "colour-lifted", '
-        '"options": '
-        '{{"colour": "{colour}"}}}}]}}}}. '
+        '"pick up the {colour} cube", until "lifted" and max_attempts 3. '
         "Tell me the outcome and the reason. If the outcome is unclear, judge by the images from "
         "before and after, and "
         "say that it is your judgement.",

@@ -5,13 +5,11 @@ from __future__ import annotations
 import json
 import threading
 from collections.abc import Awaitable, Callable, Iterable, Mapping
+from dataclasses import replace
 from typing import cast
 
 from pydantic import Field
 
-from rn_standard.inference.instruction_text import InstructionText
-from rn_standard.selection.restricted import restricted_values
-from rn_standard.stepped.clock import is_stepped
 from rn_standard.tasks.arbiter import TaskArbiter
 from rn_standard.tasks.guarded import SLOW_S, AskedMonitor
 from rn_standard.tasks.hooks import MonitorSpec
@@ -25,15 +23,12 @@ from rn_standard.tasks.predicates import (
     MonitorSays,
     Predicate,
     flat,
-    parse_predicate,
 )
 from rn_standard.tasks.runner import Outcome, Task, TaskEnd, TaskPlan
-from rn_standard.tasks.short_words import WORDS, default_predicate, expanded
-from rn_standard.tasks.stepped import SteppedCell
-from rn_standard.tasks.task_judge import judge_of, topics_of
+from rn_standard.tasks.short_words import WORDS
+from rn_standard.tasks.task_judge import backend_of, judge_of, predicate_of, topics_of, unjudged
 from rn_standard.tasks.task_result import TaskResult, task_result
 from rn_standard.tasks.task_watch import Notify, TaskWatch, WatchMaker
-from rn_standard.tools_arm.grip import check_gripper
 from roboneuron import (
     Arguments,
     CallContext,
@@ -48,6 +43,10 @@ from roboneuron import (
     Tool,
 )
 from roboneuron.feature import Stage, build, loading
+from roboneuron.modules.inference.instruction_text import InstructionText
+from roboneuron.selection.restricted import restricted_values
+from roboneuron.tools.arm.displacement import SceneWatch
+from roboneuron.tools.arm.grip import check_gripper
 
 HOLD, STOP = "hold", "stop"
 """Actions at the end of a task, in addition to the names of postures and places."""
@@ -64,8 +63,8 @@ class RunTask(Arguments):
     )
     until: dict[str, object] | str | None = Field(
         default=None,
-        description=f"Success condition: {WORDS}, or a predicate P: {UNTIL}. Without it, pick up "
-        "and put on are judged by themselves, other verbs are not.",
+        description=f"Success condition: {WORDS}, or a predicate P: {UNTIL}. Without it, the "
+        "policy's own verbs (list_backends) are judged by themselves.",
     )
     max_s: float | None = Field(
         default=None, gt=0, le=86400, description="Longest time of one attempt [s]."
@@ -136,8 +135,12 @@ class TaskTool:
 
         def work(stage: Stage) -> TaskEnd:
             cameras, why = self._cameras(predicate), lambda: self._arbiter.reason
-            kind = SteppedCell if is_stepped(self._host.config) else LiveCell
-            cell = kind(self._host, profile, context.role, stage, halt, why, topics, cameras)
+            cell = LiveCell(self._host, profile, context.role, stage, halt, why, topics, cameras)
+            # looks are taken without the claim: they cannot be cancelled
+            scene = SceneWatch(self._host, instruction, context.who)
+            scene.look_before()
+            if halt.is_set():
+                raise StateError("The call was cancelled before the task began.")
             with self._arbiter.claim(f"{instruction!r} of {context.who}", halt):
                 watch = self._watch(instruction)
                 try:
@@ -147,6 +150,8 @@ class TaskTool:
                     cell.close()
                     if watch is not None:
                         watch.close()
+            if end.outcome is not Outcome.STOPPED and end.attempts:
+                end = _seen(end, scene, cameras)
             self._ended(instruction, end)
             return end
 
@@ -228,9 +233,12 @@ class TaskTool:
 
     def _predicate(self, arguments: RunTask, profile: RobotProfile | None) -> Predicate | None:
         """What a call is judged by; without a gripper, no verb is judged by itself."""
-        predicate = predicate_of(arguments)
         if arguments.until is not None:
-            return predicate
+            return predicate_of(arguments.instruction, arguments.until, ())
+        backend = backend_of(self._host)
+        predicate = predicate_of(
+            arguments.instruction, None, () if backend is None else backend.verbs
+        )
         try:
             self._check_grippers(predicate, profile)
         except RefusedError:
@@ -254,6 +262,7 @@ class TaskTool:
             period_s=options.period_s,
             end_wait_s=options.end_wait_s,
             give_up_s=options.give_up_s,
+            unjudged=unjudged(backend_of(self._host)) if arguments.until is None else "",
         )
 
     def _new_monitor(self, predicate: MonitorSays) -> Monitor:
@@ -311,6 +320,16 @@ class TaskTool:
         return names
 
 
+def _seen(end: TaskEnd, scene: SceneWatch, cameras: list[str]) -> TaskEnd:
+    """The end with what the scene shows: what was pushed, and pictures with names."""
+    others_moved = scene.moved()
+    pictures = scene.pictures(cameras)
+    if pictures is not None and all(len(each) == len(end.after) for each in pictures):
+        before, after = pictures
+        end = replace(end, before=tuple(before), after=tuple(after))
+    return replace(end, others_moved=others_moved)
+
+
 def _check_may_set(spec: MonitorSpec, options: Mapping[str, object]) -> None:
     """Refuse options that only the configuration may set: files, hosts, secrets.
 
@@ -333,18 +352,6 @@ def _of_roles(roles: Mapping[str, str], wanted: Iterable[str], known: list[str])
     return [name for name, role in roles.items() if role in wanted and name not in known]
 
 
-def predicate_of(arguments: RunTask) -> Predicate | None:
-    """What a call is judged by: as asked for, or by its instruction's verb. Raises
-    InvalidInputError.
-    """
-    asked = arguments.until
-    if asked is None:
-        asked = default_predicate(arguments.instruction)
-    if isinstance(asked, str):
-        asked = expanded(asked, arguments.instruction)
-    return None if asked is None else parse_predicate(asked)
-
-
 def profile_of(host: Host) -> RobotProfile | None:
     """Profile of the present robot; None without a plugin for it, and without the direct path."""
     name = host.config.robot.name
@@ -360,11 +367,9 @@ def run_task_tool(handler: TaskTool) -> Tool[RunTask]:
     return Tool(
         name="run_task",
         title="Carry out a task",
-        description="Have the robot carry out an instruction; returns when that has ended and "
-        "the policy no longer moves it. The outcome is succeeded, failed, timed_out, stopped (by "
-        "someone) or unclear "
-        "(judge by the "
-        "images). Needs start_all. Cancelling the call, or losing the connection, stops the arm.",
+        description="Have the robot carry out an instruction; returns when the policy no longer "
+        "moves it: succeeded, failed, timed_out, stopped (by someone) or unclear (judge by the "
+        "images). Needs start_all. Cancelling, or losing the connection, stops the arm.",
         arguments=RunTask,
         result=TaskResult,
         handler=handler,

@@ -7,7 +7,7 @@ It is independent of ROS and threads: the robot is a `TaskRobot`, which also pro
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -52,6 +52,8 @@ class TaskEnd:
         stop_s: from the evaluation that found the predicate true until the policy was ended; None
             without success.
         monitor: last word of the monitor that watched it; None without one.
+        others_moved: how far objects that it was not about have moved [m], by name; None if not
+            seen.
     """
 
     outcome: Outcome
@@ -63,6 +65,7 @@ class TaskEnd:
     took_s: float
     stop_s: float | None = None
     monitor: MonitorReport | None = None
+    others_moved: Mapping[str, float] | None = None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -76,6 +79,7 @@ class TaskPlan:
         period_s: between two evaluations [s].
         end_wait_s: time after the policy's own end within which success may still appear [s].
         give_up_s: time of uninterrupted errors after which the policy counts as failed [s].
+        unjudged: why there is no predicate.
     """
 
     instruction: str
@@ -84,6 +88,7 @@ class TaskPlan:
     period_s: float = 0.05
     end_wait_s: float = 2.0
     give_up_s: float = 3.0
+    unjudged: str = "the call named no predicate"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -142,7 +147,7 @@ class Task:
             RoboNeuronError: the first attempt could not begin.
         """
         cell, began_s = self._cell, self._cell.now_s()
-        before = cell.evidence()
+        before = cell.evidence("before")
         try:
             end = self._already() or self._attempts()
         finally:
@@ -154,7 +159,7 @@ class Task:
             attempts=self._attempt,
             reason=end.reason,
             before=before,
-            after=cell.evidence(),
+            after=cell.evidence("after"),
             state=cell.look(),
             took_s=cell.now_s() - began_s,
             stop_s=end.stop_s,
@@ -297,7 +302,7 @@ class Task:
 
     def _look(self, snapshot: Snapshot) -> PredicateState:
         if self._judge is None:
-            judgement = PredicateState(value=None, reason="the call named no predicate")
+            judgement = PredicateState(value=None, reason=self._plan.unjudged)
         else:
             judgement = self._judge.look(snapshot)
         return judgement if self._watch is None else self._watch.look(snapshot, judgement)

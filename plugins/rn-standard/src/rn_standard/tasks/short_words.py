@@ -5,15 +5,15 @@ predicate.
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from typing import get_args
 
 from rn_standard.tasks.detectors import Colour
-from roboneuron import InvalidInputError
+from roboneuron import InvalidInputError, Verb
 
 COLOURS: tuple[str, ...] = get_args(Colour)
 WORDS = '"held", "lifted" or "on COLOUR"'
-_PICK = re.compile(r"\b(pick up|pick the|grasp|grab)\b")
-_PUT = re.compile(r"\b(put|place|stack|set)\b.*\bon(?:to| top of)?\b(.*)")
+_ON = re.compile(r"\bon(?:to| top of)?\b(.*)")
 _STANDS_S = 0.5
 _LIFTED_M = 0.05
 Data = dict[str, object]
@@ -49,20 +49,22 @@ def expanded(words: str, instruction: str) -> Data:
     )
 
 
-def default_predicate(instruction: str) -> Data | None:
-    """What judges the verb of an instruction, as data; None if none of the verbs is known.
+def default_predicate(instruction: str, verbs: Sequence[Verb]) -> Data | None:
+    """What judges the verb of an instruction, as data; None if it has none of the policy's verbs.
 
-    "Put X on Y" is judged as "on Y". "Pick up X" is achieved if the gripper holds something, and
-    the object of the instruction's colour is lifted or the policy says that it has finished: what
-    cannot be seen leaves no task undecided.
+    "on" is judged as "on Y". "lifted" is achieved if the gripper holds something, and the object of
+    the instruction's colour is lifted or the policy says that it has finished: what cannot be seen
+    leaves no task undecided.
     """
     text = instruction.lower()
-    if put := _PUT.search(text):
-        below = _colours_in(put.group(2))
+    asked = {verb.achieves: after for verb in verbs if (after := _after(verb, text)) is not None}
+    if "on" in asked:
+        on = _ON.search(asked["on"])
+        below = [] if on is None else _colours_in(on.group(1))
         above = [colour for colour in _colours_in(text) if colour not in below]
         is_known = len(below) == 1 and len(above) == 1
         return expanded(f"on {below[0]}", instruction) if is_known else None
-    if not _PICK.search(text):
+    if "lifted" not in asked:
         return None
     signs: list[Data] = [{"kind": "policy_done"}]
     if len(colours := _colours_in(text)) == 1:
@@ -70,6 +72,12 @@ def default_predicate(instruction: str) -> Data | None:
     return _lasting(
         {"kind": "all", "of": [{"kind": "gripper_holds"}, {"kind": "any", "of": signs}]}
     )
+
+
+def _after(verb: Verb, text: str) -> str | None:
+    """What follows the first of a verb's words in a text; None without them."""
+    found = re.search(rf"\b(?:{'|'.join(map(re.escape, verb.words))})\b(.*)", text, re.DOTALL)
+    return None if found is None else found.group(1)
 
 
 def _lifted(colour: str) -> Data:

@@ -8,7 +8,6 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 
-from rn_standard.selection.requests import StartChosenInference
 from roboneuron import Arguments, NotReadyError, RoboNeuronError, StateError
 from roboneuron.feature import (
     ClosedLoop,
@@ -18,6 +17,7 @@ from roboneuron.feature import (
     Plan,
     Stage,
 )
+from roboneuron.selection.requests import StartChosenInference
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -2,13 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
-from rn_standard.direct_path import truth
-from rn_standard.direct_path.fields import check_path, load_type
 from rn_standard.tasks.judging import MonitorFor, PredicateJudge
-from rn_standard.tasks.predicates import FieldIs, GripperHolds, Predicate, TcpIn, flat
-from roboneuron import ConfigurationError, InvalidInputError, RefusedError, RobotProfile
+from rn_standard.tasks.predicates import (
+    FieldIs,
+    GripperHolds,
+    Predicate,
+    TcpIn,
+    flat,
+    parse_predicate,
+)
+from rn_standard.tasks.short_words import default_predicate, expanded
+from roboneuron import (
+    BackendSpec,
+    ConfigurationError,
+    Host,
+    InvalidInputError,
+    RefusedError,
+    RobotProfile,
+    Verb,
+)
+from roboneuron.direct_path import truth
+from roboneuron.direct_path.fields import check_path, load_type
 from roboneuron.feature import check_topic
 
 
@@ -61,3 +77,38 @@ def _check_field(part: FieldIs) -> None:
         check_path(load_type(part.type), part.field)
     except (ConfigurationError, InvalidInputError) as error:
         raise InvalidInputError(f"until: {error.message}", hint=error.hint, path="until") from error
+
+
+def predicate_of(
+    instruction: str, until: dict[str, object] | str | None, verbs: Sequence[Verb]
+) -> Predicate | None:
+    """What a task is judged by: `until`, if it is given, else its instruction's verb, if it is one
+    of the policy's. Raises InvalidInputError.
+    """
+    asked = default_predicate(instruction, verbs) if until is None else until
+    if isinstance(asked, str):
+        asked = expanded(asked, instruction)
+    return None if asked is None else parse_predicate(asked)
+
+
+def backend_of(host: Host) -> BackendSpec | None:
+    """Descriptor of the policy that runs, or else of the configured one; None without one that is
+    installed here.
+    """
+    plan = host.modules.view("inference").plan
+    section = (host.config if plan is None else plan.config).inference
+    name = "" if section is None else section.backend
+    specs = (offer.spec for offer in host.registry.offers(BackendSpec.kind))
+    return next((s for s in specs if s.name == name and isinstance(s, BackendSpec)), None)
+
+
+def unjudged(backend: BackendSpec | None) -> str:
+    """Why an instruction is not judged by its verb."""
+    if backend is None or not backend.verbs:
+        who = "the policy" if backend is None else f"the policy {backend.name!r}"
+        return f"{who} declares no verbs, and the call gave no `until`"
+    words = ", ".join(word for verb in backend.verbs for word in verb.words)
+    return (
+        f"nothing judges this instruction by itself, and the call gave no `until`; the policy "
+        f"{backend.name!r} declares: {words}"
+    )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Literal
 
 from pydantic import Field
@@ -61,6 +62,9 @@ class TaskResult(Result):
         description="what was done at the end: on_end, or why that was not possible"
     )
     took_s: float
+    others_moved: dict[str, float] | None = Field(
+        default=None, description="objects that it was not about: distance [m]; null: not seen"
+    )
     monitor: MonitorWord | None = Field(
         default=None, description="what the configured monitor says beside the predicate"
     )
@@ -70,14 +74,21 @@ def task_result(end: TaskEnd, ended_with: str) -> TaskResult:
     return TaskResult(
         outcome=end.outcome.value,
         attempts=end.attempts,
-        reason=f"{end.reason}.",
+        reason=told_reason(end.reason, end.others_moved),
         images_before=len(end.before),
         images_after=len(end.after),
         state=_state(end.state),
         ended_with=ended_with,
         took_s=round(end.took_s, 3),
+        others_moved=None if end.others_moved is None else dict(end.others_moved),
         monitor=None if end.monitor is None else _word(end.monitor),
     )
+
+
+def told_reason(reason: str, others_moved: Mapping[str, float] | None) -> str:
+    """The reason as a sentence, with what was pushed meanwhile."""
+    pushed = [f"{name} by {by_m * 100:.1f} cm" for name, by_m in (others_moved or {}).items()]
+    return f"{reason}. Moved meanwhile: {', '.join(pushed)}." if pushed else f"{reason}."
 
 
 def _word(report: MonitorReport) -> MonitorWord:

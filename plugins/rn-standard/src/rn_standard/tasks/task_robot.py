@@ -58,6 +58,8 @@ class TaskRobot(Protocol):
         """Stop the policy; the arm comes to rest. Never raises, and may be called twice."""
         ...
 
-    def evidence(self) -> tuple[Picture, ...]:
-        """Present images of the cameras; empty without any."""
+    def evidence(self, when: str) -> tuple[Picture, ...]:
+        """Present images of the cameras, with "before" or "after" in their captions; empty without
+        any.
+        """
         ...

@@ -8,7 +8,6 @@ import uuid
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, cast
 
-from rn_standard.direct_path.exposed import ACTING_TOPIC, LEAD_LABEL
 from rn_standard.teleoperation.hooks import TeleoperatorSpec
 from rn_standard.teleoperation.lead import Lead, named
 from rn_standard.teleoperation.rows import Acting
@@ -20,13 +19,12 @@ from roboneuron import (
     Feature,
     Host,
     InvalidInputError,
-    RefusedError,
     RobotProfile,
     StateError,
     Tool,
 )
-from roboneuron.feature import build, load_profile
-from roboneuron.node import settings
+from roboneuron.direct_path.exposed import ACTING_TOPIC, LEAD_LABEL
+from roboneuron.feature import StillReason, build, load_profile, settings
 
 if TYPE_CHECKING:
     from std_msgs.msg import Float64MultiArray
@@ -90,13 +88,8 @@ class Teleoperation(Feature[None]):
         host.modules.require_running("control")
         host.loop.emergency_stop.check()
         with self._lock:
-            led = self.lead
-            if led is not None:
-                raise RefusedError(
-                    f"{led.who} leads the arm by {led.source_name}.",
-                    hint="Call hand_back first.",
-                    rule="lead",
-                )
+            for reason in self.still_reasons(context):
+                raise reason.refusal()
             lead = self._made(arguments, context, halt)
             self._lead = lead
         lead.begin()
@@ -130,6 +123,19 @@ class Teleoperation(Feature[None]):
         unsubscribe, self._unsubscribe = self._unsubscribe, None
         if unsubscribe is not None:
             unsubscribe()
+
+    def still_reasons(self, asker: CallContext | None) -> Sequence[StillReason]:
+        """See `Feature.still_reasons`."""
+        lead = self.lead
+        if lead is None:
+            return ()
+        reason = StillReason(
+            rank="claim",
+            rule="lead",
+            message=f"{lead.who} leads the arm by {lead.source_name}.",
+            hint="Call hand_back first.",
+        )
+        return (reason,)
 
     @property
     def is_moving(self) -> bool:

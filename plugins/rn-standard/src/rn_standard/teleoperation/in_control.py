@@ -13,8 +13,6 @@ from typing import Any, cast
 import numpy as np
 from std_msgs.msg import Float64MultiArray
 
-from rn_standard.control.module import ControlModule
-from rn_standard.direct_path.exposed import ACTING_TOPIC, LEAD_TOPIC
 from rn_standard.teleoperation.authority import Authority
 from rn_standard.teleoperation.braking import Braking, is_away, stoppable
 from rn_standard.teleoperation.correction import Correction
@@ -33,7 +31,10 @@ from roboneuron import (
     SpaceController,
     matrix_from_quaternion,
 )
-from roboneuron.node import Asked, LimitedCommand, Module, ModuleHost
+from roboneuron.direct_path.exposed import ACTING_TOPIC, LEAD_TOPIC
+from roboneuron.feature import Asked, LimitedCommand, Module, ModuleHost
+from roboneuron.modules.control.module import ControlModule
+from roboneuron.modules.step_filters import ActionStep, StepFilter
 
 _LOOK_S = 0.02
 _STALE_S = 0.15
@@ -54,14 +55,16 @@ def join(host: ModuleHost) -> None:
 
 def _extend(module: Module) -> None:
     if isinstance(module, ControlModule):
-        LeadInControl(module)
+        module.filters.add(LeadInControl(module))
 
 
-class LeadInControl:
+class LeadInControl(StepFilter):
     """Executes the rows of a lead, and lets the policy act without a lead.
 
     Used on the executor's thread.
     """
+
+    phase = StepFilter.StepPhase.PERSON
 
     def __init__(self, control: ControlModule) -> None:
         self._control = control
@@ -75,36 +78,35 @@ class LeadInControl:
         self._acting = self._node.advertise(Float64MultiArray, ACTING_TOPIC)
         self._node.subscribe(Float64MultiArray, LEAD_TOPIC, self._on_lead)
         self._node.repeat(_LOOK_S, self._look)
-        control.on_limited.append(self._note_limited)
-        control.deliver = self._deliver
 
     def _forget(self) -> None:
         """Forget the command before, ahead of another row or action."""
         self._limited = None
         self._executed.begin()
 
-    def _note_limited(self, limited: LimitedCommand) -> None:
+    def note_limited(self, limited: LimitedCommand) -> None:
+        """See `StepFilter.note_limited`."""
         self._limited = limited
         command = limited.command
         self._executed.command = command if isinstance(command, JointCommand) else None
 
-    def _deliver(self, source_ns: int, read: Callable[[], Asked]) -> None:
+    def act(self, step: ActionStep, proceed: Callable[[ActionStep], None]) -> None:
         """Execute an action of the policy, with the person's correction if there is one, unless a
         person leads.
         """
-        reason = self._authority.why_no_policy(source_ns)
+        reason = self._authority.why_no_policy(step.source_ns)
         if reason:
             if self._control.is_active:
                 self._control.status.drop(reason)
             return
         row = self._authority.row
         self._forget()
-        if row is None:
-            self._control.act(source_ns, read)
+        if row is not None:
+            proceed(replace(step, read=lambda: self._corrected(step.read(), row)))
         else:
-            self._control.act(source_ns, lambda: self._corrected(read(), row))
+            proceed(step)
         who = "policy" if row is None or row.kind in ("rest", "still") else "blend"
-        self._tell(who, source_ns)
+        self._tell(who, step.source_ns)
 
     def _on_lead(self, message: Float64MultiArray, info: dict[str, Any]) -> None:
         source_ns = int(info["source_timestamp"])
@@ -204,7 +206,7 @@ class LeadInControl:
         """Require a new start of motion; in shadow this is left to the control that moves
         the arm.
         """
-        if self._control.is_active and self._control.handover.is_ours(time.time_ns()):
+        if self._control.is_active and self._control.filters.is_ours(time.time_ns()):
             self._node.require_start(_LOST)
 
     def _hold(self, code: str, reason: str) -> None:
@@ -327,7 +329,7 @@ class LeadInControl:
     def _tell(self, who: str, source_ns: int, note: str = "") -> None:
         """Report the source that moved the arm, and the limits that acted."""
         control, row = self._control, self._authority.row
-        if not control.is_active or not control.handover.is_ours(source_ns):
+        if not control.is_active or not control.filters.is_ours(source_ns):
             return
         limited = self._limited
         if not note and (reason := control.why_stopped()):

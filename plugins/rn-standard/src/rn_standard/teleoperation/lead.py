@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rn_standard.direct_path.exposed import gate_request
 from rn_standard.teleoperation.rows import Acting, LeadRow
 from rn_standard.teleoperation.samples import LeadFeedback, Teleoperator, ToldTeleoperator
 from rn_standard.teleoperation.session import LeadSession
 from roboneuron import CallContext, InvalidInputError, NotReadyError, RoboNeuronError
+from roboneuron.direct_path.exposed import gate_request
 from roboneuron.feature import ExposedEndpoint, MotionGate, TimedCommand
 
 if TYPE_CHECKING:

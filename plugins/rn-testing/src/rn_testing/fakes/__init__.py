@@ -37,15 +37,15 @@ _MODULES = tuple(
         name=kind,
         summary=f"Brings {kind} modules.",
         target="roboneuron:Feature",
-        module=f"rn_standard.{kind}.module:{kind.title()}Module",
-        module_plan=f"rn_standard.{kind}.planning:plan_{kind}",
+        module=f"roboneuron.modules.{kind}.module:{kind.title()}Module",
+        module_plan=f"roboneuron.modules.{kind}.planning:plan_{kind}",
     )
     for kind in ("control", "inference", "perception")
 )
 _TOOLS = FeatureSpec(
     name="tools-loop",
     summary="Tools of the closed loop.",
-    target="rn_standard.tools_loop.feature:LoopTools",
+    target="roboneuron.tools.loop.feature:LoopTools",
 )
 
 

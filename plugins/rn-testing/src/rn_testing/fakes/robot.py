@@ -180,8 +180,8 @@ class FakeDriver:
         """Start a motion, slower than commanded if the velocity limits require it.
 
         Raises:
-            InvalidInputError: an unknown joint, a position that is not finite or outside the
-                limits, no duration.
+            InvalidInputError: an unknown joint, a joint twice, a position that is not finite or
+                outside the limits, no duration.
         """
         here = self._positions()
         limits = self._profile.limits
@@ -190,6 +190,8 @@ class FakeDriver:
             raise InvalidInputError(
                 f"A command names {len(command.names)} joints, got {command.position.shape}."
             )
+        if len(set(command.names)) < len(command.names):
+            raise InvalidInputError(f"A command names a joint twice: {', '.join(command.names)}.")
         if not (math.isfinite(command.duration_s) and command.duration_s > 0):
             raise InvalidInputError(
                 f"A command lasts {command.duration_s} s, expected more than 0."

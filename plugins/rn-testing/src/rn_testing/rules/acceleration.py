@@ -11,7 +11,7 @@ from typing import Any
 from rn_testing.attempts import attempt
 from rn_testing.cases import AccelerationCase
 from rn_testing.deadline import bounded
-from rn_testing.effects import check_memory, expect_refusal
+from rn_testing.effects import check_memory, check_releases, expect_refusal
 from rn_testing.lifecycle import ALONE, PURE, check_protocol, check_pure_constructor
 from rn_testing.options import OPTIONS_READ, check_options_read
 from rn_testing.process_state import find_changes
@@ -69,8 +69,9 @@ def _check_again(case: AccelerationCase) -> None:
     preset = _built(case)
     first, second = decoder(), decoder()
     preset.apply(first)
-    before = snapshot(second)
+    kept, before = snapshot(first), snapshot(second)
     preset.apply(second)
+    require(snapshot(first) == kept, "apply to a second decoder changes the first one")
     require(snapshot(second) != before, "apply to a second decoder changed nothing in it")
     if case.expected is not None:
         require(
@@ -155,6 +156,11 @@ def _check_memory(case: AccelerationCase) -> None:
     )
 
 
+def _check_releases(case: AccelerationCase) -> None:
+    decoder = _decoder(case)
+    check_releases(lambda: _built(case).apply(decoder()), "apply()")
+
+
 def _check_process(case: AccelerationCase) -> None:
     decoder = _decoder(case)
     changes = find_changes(lambda: _built(case).apply(decoder()))
@@ -201,7 +207,7 @@ RULES: tuple[Rule[AccelerationCase], ...] = (
     ),
     _rule(
         "applies-again",
-        "One preset can be applied to a second decoder.",
+        "One preset can be applied to a second decoder, and leaves the first as it is.",
         f"{_SOURCE}.apply",
         _check_again,
     ),
@@ -228,6 +234,12 @@ RULES: tuple[Rule[AccelerationCase], ...] = (
         "The preset does not keep the decoders.",
         f"{_SOURCE}.apply",
         _check_memory,
+    ),
+    _rule(
+        "releases",
+        "`apply` leaves no thread, process or open file behind.",
+        f"{_SOURCE}.apply",
+        _check_releases,
     ),
     _rule("process-left-alone", ALONE, f"{_SOURCE}.apply", _check_process),
 )

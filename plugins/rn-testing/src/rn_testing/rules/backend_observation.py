@@ -4,6 +4,7 @@ read-only.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
@@ -14,13 +15,22 @@ from rn_testing.cases import BackendCase
 from rn_testing.effects import expect_refusal
 from rn_testing.fakes import gradient_image
 from rn_testing.rule import NotApplicable, Rule, require
-from rn_testing.rules.backend import REPEATED, backend_rule, loaded, predict, with_images
+from rn_testing.rules.backend import (
+    REPEATED,
+    backend_rule,
+    compare_chunks,
+    loaded,
+    predict,
+    with_images,
+)
+from rn_testing.rules.clock import ros_clock
 from rn_testing.snapshots import snapshot
 from roboneuron import (
     ArmState,
     Backend,
     InvalidInputError,
     Observation,
+    Pose,
     RoboNeuronError,
     UngroundedError,
 )
@@ -138,6 +148,75 @@ def _check_optional(case: BackendCase) -> None:
         predict(case, backend, replace(observation, frames={**observation.frames, **more}))
 
 
+def _turned(observation: Observation) -> Observation:
+    """The same observation with cameras, joints and arms in the opposite order."""
+    joints = observation.joints
+    if joints is not None:
+        joints = replace(
+            joints,
+            names=joints.names[::-1],
+            position=joints.position[::-1],
+            velocity=None if joints.velocity is None else joints.velocity[::-1],
+        )
+    return replace(
+        observation,
+        joints=joints,
+        frames=dict(list(observation.frames.items())[::-1]),
+        arms=dict(list(observation.arms.items())[::-1]),
+    )
+
+
+def _at(observation: Observation, stamp_ns: int) -> Observation:
+    """The same observation at another time."""
+    shift_ns = stamp_ns - observation.stamp_ns
+    frames = {
+        role: replace(frame, stamp_ns=frame.stamp_ns + shift_ns)
+        for role, frame in observation.frames.items()
+    }
+
+    def moved(pose: Pose) -> Pose:
+        return replace(pose, stamp_ns=pose.stamp_ns + shift_ns)
+
+    joints, pose = observation.joints, observation.ee_pose
+    return replace(
+        observation,
+        stamp_ns=stamp_ns,
+        frames=frames,
+        joints=joints and replace(joints, stamp_ns=joints.stamp_ns + shift_ns),
+        ee_pose=pose and moved(pose),
+        arms={
+            name: replace(arm, ee_pose=moved(arm.ee_pose)) for name, arm in observation.arms.items()
+        },
+    )
+
+
+def _check_alike(case: BackendCase, others: dict[str, Observation]) -> None:
+    with loaded(case) as backend:
+        backend.reset()
+        first = predict(case, backend)
+        for what, other in others.items():
+            backend.reset()
+            compare_chunks(first, predict(case, backend, other), what)
+
+
+def _check_by_name(case: BackendCase) -> None:
+    turned = _turned(case.observation())
+    if turned.joints is None and len(turned.frames) + len(turned.arms) < 2:
+        raise NotApplicable("its observations have one part only")
+    _check_alike(case, {"with cameras, joints and arms in another order": turned})
+
+
+def _check_clock_free(case: BackendCase) -> None:
+    observation = case.observation()
+    _check_alike(
+        case,
+        {
+            f"at {stamp_ns / 1e9:.0f} s of ROS time": _at(observation, stamp_ns)
+            for stamp_ns in (10_000_000_000, time.time_ns(), ros_clock())
+        },
+    )
+
+
 RULES: tuple[Rule[BackendCase], ...] = (
     backend_rule(
         "missing-frame-refused",
@@ -170,6 +249,19 @@ RULES: tuple[Rule[BackendCase], ...] = (
         "roboneuron.errors.",
         "roboneuron.contract.observation.Frame",
         _check_any_size,
+    ),
+    backend_rule(
+        "inputs-by-name",
+        "Cameras, joints and arms are taken by name, in any order.",
+        "roboneuron.contract.observation.Observation",
+        _check_by_name,
+    ),
+    backend_rule(
+        "clock-free",
+        "The same observation at another ROS time, also that of a simulation, yields the same "
+        "chunk.",
+        "roboneuron.contract.observation.Observation",
+        _check_clock_free,
     ),
     backend_rule(
         "optional-frames-used",

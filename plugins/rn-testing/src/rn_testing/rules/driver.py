@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 
 import numpy as np
@@ -40,6 +40,8 @@ SEND_LIMIT_S = 0.2
 """Limit of the quickest of some `send` calls, which must not wait for the end of the motion."""
 STAMP_S = 1.0
 """Maximum time without a new stamp [s]."""
+HOLD_LIMIT_S = 0.3
+"""Limit of the quickest of some `hold` calls: a stop must not wait for it."""
 LOOKS = 11
 """Number of stamps checked."""
 OUTSIDE = 0.05
@@ -231,13 +233,23 @@ def _check_stamps(case: RobotCase) -> None:
 def _check_read_quick(case: RobotCase) -> None:
     with opened(case) as driver:
         read_state(case, driver)
-        times_s: list[float] = []
-        for _ in range(21):
-            before_s = time.perf_counter()
-            driver.read()
-            times_s.append(time.perf_counter() - before_s)
-    median_s = float(np.median(times_s))
-    require(median_s <= READ_LIMIT_S, f"read takes {median_s * 1000:.1f} ms, expected about 1 ms")
+        _check_reads(driver, "")
+        with suppress(NotApplicable, RoboNeuronError):  # a driver may refuse such a large step
+            limits = arm_limits(case)
+            goal = np.clip(arm_position(case, driver) + 20 * case.step, limits.lower, limits.upper)
+            driver.send(arm_command(case, goal, 5.0))
+            _check_reads(driver, " during a motion")
+
+
+def _check_reads(driver: RobotDriver, when: str) -> None:
+    times_s: list[float] = []
+    for _ in range(21):
+        before_s = time.perf_counter()
+        driver.read()
+        times_s.append(time.perf_counter() - before_s)
+    median_ms = 1000 * float(np.median(times_s))
+    told = f"read takes {median_ms:.1f} ms{when}, expected about 1 ms"
+    require(median_ms <= 1000 * READ_LIMIT_S, told)
 
 
 def _check_send_quick(case: RobotCase) -> None:
@@ -247,6 +259,12 @@ def _check_send_quick(case: RobotCase) -> None:
         check_quick(SEND_LIMIT_S, lambda: driver.send(command), "send")
 
 
+def _check_hold_quick(case: RobotCase) -> None:
+    with opened(case) as driver:
+        read_state(case, driver)
+        check_quick(HOLD_LIMIT_S, driver.hold, "hold")
+
+
 def _check_bad_command(case: RobotCase) -> None:
     arm_limits(case)
     with opened(case) as driver:
@@ -254,6 +272,7 @@ def _check_bad_command(case: RobotCase) -> None:
         good = arm_command(case, position + case.step)
         bad = {
             "an unknown joint": replace(good, names=("no_such_joint", *good.names[1:])),
+            "two positions for one joint": replace(good, names=(good.names[1], *good.names[1:])),
             "a position of NaN": replace(good, position=np.full_like(position, np.nan)),
             "an infinite position": replace(good, position=np.append(good.position[:-1], np.inf)),
             "fewer positions than names": replace(good, position=position[1:]),
@@ -287,6 +306,26 @@ def _check_limits(case: RobotCase) -> None:
                 reached = dict(zip(sent.names, sent.position.tolist(), strict=True))[name]
                 inside = limits.lower[joint] - 1e-9 <= reached <= limits.upper[joint] + 1e-9
                 require(inside, f"{name} was sent to {reached:.3f}, its limit is {bound:g}")
+        _check_gripper_limits(case, driver)
+
+
+def _check_gripper_limits(case: RobotCase, driver: RobotDriver) -> None:
+    for gripper in case.profile().grippers:
+        ends = sorted((gripper.closed_position, gripper.open_position))
+        travel = ends[1] - ends[0]
+        for beyond in (ends[0] - travel, ends[1] + travel):
+            command = JointCommand(
+                names=(gripper.joint,), position=np.array([beyond]), duration_s=0.5
+            )
+            try:
+                sent = driver.send(command)
+            except RoboNeuronError:
+                continue
+            finally:
+                driver.hold()
+            reached = dict(zip(sent.names, sent.position.tolist(), strict=True))[gripper.joint]
+            inside = ends[0] - 0.1 * travel <= reached <= ends[1] + 0.1 * travel
+            require(inside, f"{gripper.joint} was sent to {reached:.3f}, its travel is {ends}")
 
 
 SOURCE = "roboneuron.contract.protocols.RobotDriver"
@@ -335,15 +374,22 @@ RULES: tuple[Rule[RobotCase], ...] = (
         _check_send_quick,
     ),
     driver_rule(
+        "hold-quick",
+        "`hold` does not wait until the robot stands.",
+        "hold",
+        _check_hold_quick,
+    ),
+    driver_rule(
         "bad-command-refused",
-        "A command of unknown joints, unequal lengths, no duration or of NaN is refused and moves "
-        "nothing.",
+        "A command of unknown joints, a joint twice, unequal lengths, no duration or of NaN is "
+        "refused and moves nothing.",
         "send",
         _check_bad_command,
     ),
     driver_rule(
         "limits-kept",
-        "A position outside the limits is refused, or what is really sent is within them.",
+        "A position outside the limits of a joint or gripper is refused, or what is really sent is "
+        "within them.",
         "send",
         _check_limits,
     ),

@@ -39,6 +39,8 @@ SLOWEST, FASTEST = 0.1, 10.0
 value. The bounds are wide because a simulation that lags on a busy machine reports velocities of
 its own time.
 """
+AT_REST = 0.3
+"""Tolerated velocity of an arm that stands, as a share of that of the motion before."""
 OFF_ZERO = 6
 """Least distance of a joint from 0, in tolerances of the case, before others are moved."""
 OPENINGS = (0.5, 0.0, 1.0)
@@ -179,7 +181,8 @@ def _check_pace(
 
 def _check_duration(case: RobotCase) -> None:
     limits = arm_limits(case)
-    duration_s = max(1.0, 2 * 5 * case.step / float(limits.velocity[-1]))
+    # no whole number of seconds, because some robots know only these
+    duration_s = max(1.8, 2 * 5 * case.step / float(limits.velocity[-1]))
     with opened(case) as driver:
         start = arm_position(case, driver)
         goal = shifted(case, start, 5)
@@ -268,6 +271,18 @@ def _velocity_samples(case: RobotCase, driver: RobotDriver, duration_s: float) -
     return np.array([found[stamp] for stamp in sorted(found)]).reshape(-1, 3)
 
 
+def _check_velocity_at_rest(case: RobotCase, driver: RobotDriver, most: float) -> None:
+    found = [0.0]
+
+    def is_slow() -> bool:
+        velocity = read_state(case, driver).joints.velocity
+        found[0] = 0.0 if velocity is None else float(np.abs(velocity).max())
+        return found[0] <= most
+
+    is_at_rest = holds_within(is_slow, case.settle_s)
+    require(is_at_rest, f"after a motion the arm stands, and a velocity is still {found[0]:.4f}")
+
+
 def _check_velocity(case: RobotCase) -> None:
     limits = arm_limits(case)
     with opened(case) as driver:
@@ -287,6 +302,8 @@ def _check_velocity(case: RobotCase) -> None:
             integral = float((gaps_s * (samples[1:, 2] + samples[:-1, 2]) / 2).sum())
             told = f"a joint moved by {way:.4f}, its velocities add up to {integral:.4f}"
             require(SLOWEST <= integral / way <= FASTEST, f"{told}; None means unknown")
+            check_arrival(case, driver, goal, sent, "a motion")
+            _check_velocity_at_rest(case, driver, AT_REST * abs(way) / float(gaps_s.sum()))
             return
     raise NotApplicable("too few states came during the motion to judge velocities")
 
@@ -333,7 +350,7 @@ RULES: tuple[Rule[RobotCase], ...] = (
     ),
     driver_rule(
         "velocity-measured",
-        "Velocities are those of the positions: per second, of the same sign, or None.",
+        "Velocities are those of the positions: per second, of the same sign, 0 at rest; or None.",
         "read",
         _check_velocity,
     ),

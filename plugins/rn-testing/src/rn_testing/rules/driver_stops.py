@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from contextlib import suppress
 
 import numpy as np
@@ -34,6 +35,8 @@ HOLD_S = 0.3
 """Time for which the robot is watched after `hold` [s]."""
 CREEP = 0.1
 """Tolerated steady motion of a held joint in one direction, as a share of the case's tolerance."""
+_WATCH_S = 0.01
+"""Period of the looks at a driver while it is closed."""
 STARTS, STALE_S = 5, 0.3
 """Number of motions of which the quickest start counts, and its maximum delay [s]; a busy machine
 delays single ones, not all.
@@ -74,6 +77,7 @@ def _check_hold(case: RobotCase) -> None:
             holds_within(lambda: False, HOLD_S / 2)
             held.append(arm_position(case, driver))
         held_opening = read_state(case, driver).gripper_open
+        _check_second_hold(case, driver)
     if opening is not None and held_opening is not None:
         kept = abs(held_opening - opening) <= OPENING_TOLERANCE
         require(
@@ -101,6 +105,15 @@ def _check_hold(case: RobotCase) -> None:
     )
 
 
+def _check_second_hold(case: RobotCase, driver: RobotDriver) -> None:
+    """Several parts of the system may hold, one after the other."""
+    before = arm_position(case, driver)
+    driver.hold()
+    holds_within(lambda: False, HOLD_S)
+    moved = _moved(case, driver, before)
+    require(moved <= case.tolerance, f"a second hold() moved a joint by {moved:.4f}")
+
+
 def _moved(case: RobotCase, driver: RobotDriver, start: F64) -> float:
     return float(np.abs(arm_position(case, driver) - start).max())
 
@@ -111,10 +124,22 @@ def _check_open_still(case: RobotCase) -> None:
         start = arm_position(case, driver)
         holds_within(lambda: False, HOLD_S)
         moved = _moved(case, driver, start)
-    require(
-        moved <= case.tolerance,
-        f"without any command a joint moved after open() by {moved:.4f}",
-    )
+        require(
+            moved <= case.tolerance,
+            f"without any command a joint moved after open() by {moved:.4f}",
+        )
+        with suppress(RoboNeuronError):  # it may refuse the step, or to be opened again
+            driver.send(arm_command(case, shifted(case, start, FAR), 10.0))
+            holds_within(lambda: _moved(case, driver, start) >= case.step, case.settle_s)
+            driver.close()
+            driver.open()
+            again = arm_position(case, driver)
+            holds_within(lambda: False, HOLD_S)
+            moved = _moved(case, driver, again)
+            require(
+                moved <= case.tolerance,
+                f"a motion that close() ended goes on by {moved:.4f} after open()",
+            )
 
 
 def _stands(case: RobotCase, driver: RobotDriver) -> bool:
@@ -174,23 +199,62 @@ def _check_close_still(case: RobotCase) -> None:
         return driver
 
     with started(case, watched, lambda driver: driver.open()) as driver:
-        arm_position(case, driver)
+        start = arm_position(case, driver)
+        with suppress(RoboNeuronError):  # it may refuse the step; away from where it began
+            driver.send(arm_command(case, shifted(case, start, case.step), 0.5))
+            holds_within(
+                lambda: _moved(case, driver, start) >= 0.5 * case.step and _stands(case, driver),
+                case.settle_s,
+            )
         sent.clear()
+        moved = _moved_by_close(case, driver)
     require(
         not sent,
         f"close() sent {len(sent)} commands; what surrounds the arm then is not known",
     )
+    require(
+        moved <= case.tolerance,
+        f"close() moved a joint by {moved:.4f} before it ended; what surrounds the arm then is "
+        "not known",
+    )
+
+
+def _moved_by_close(case: RobotCase, driver: RobotDriver) -> float:
+    """Close the driver; return the largest motion of a joint that it told meanwhile."""
+    start = arm_position(case, driver)
+    moved, ended = [0.0], threading.Event()
+
+    def watch() -> None:
+        while not ended.wait(_WATCH_S):
+            try:
+                moved.append(_moved(case, driver, start))
+            except Exception:  # closed
+                return
+
+    watcher = threading.Thread(target=watch, name="close-watch", daemon=True)
+    watcher.start()
+    try:
+        driver.close()
+    finally:
+        ended.set()
+        watcher.join(case.settle_s + 1.0)
+    return max(moved)
 
 
 RULES: tuple[Rule[RobotCase], ...] = (
     driver_rule(
         "hold-stops",
-        "After `hold` arm and gripper stand still, also during a motion.",
+        "After `hold` arm and gripper stand still, also during a motion and after another `hold`.",
         "hold",
         _check_hold,
     ),
-    driver_rule("open-stands-still", "`open` moves nothing.", "open", _check_open_still),
-    driver_rule("close-stands-still", "`close` sends no motion.", "close", _check_close_still),
+    driver_rule(
+        "open-stands-still",
+        "`open` moves nothing, also after a `close` that ended a motion.",
+        "open",
+        _check_open_still,
+    ),
+    driver_rule("close-stands-still", "`close` moves nothing.", "close", _check_close_still),
     driver_rule(
         "state-fresh",
         "A state is stamped when it was measured, not when it is read.",

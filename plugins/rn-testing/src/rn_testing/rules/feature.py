@@ -23,7 +23,7 @@ from rn_testing.fakes import fake_registry
 from rn_testing.lifecycle import ALONE, PURE, check_pure_constructor
 from rn_testing.process_state import find_changes
 from rn_testing.rule import Rule, require
-from rn_testing.rules.package_imports import SENDER_PACKAGE, SENDING_NAME
+from rn_testing.rules.package_imports import SENDING_NAME
 
 if TYPE_CHECKING:
     from mcp.types import Tool
@@ -32,12 +32,14 @@ if TYPE_CHECKING:
 
 _NAME = re.compile(r"[a-z][a-z0-9]*(_[a-z0-9]+)*")
 _LEAVE_S = 5.0
+_SENDER = "roboneuron.direct_path"
+"""Package of the gate, the only feature that sends."""
 _FORBIDDEN = (
     "rclpy",
     f"roboneuron.feature.{SENDING_NAME}",
     f"roboneuron.command.{SENDING_NAME}",
-    f"{SENDER_PACKAGE}.writer",
-    f"{SENDER_PACKAGE}.traffic",
+    "roboneuron.direct_path.writer",
+    "roboneuron.direct_path.traffic",
 )
 """Modules that could publish without the gate."""
 
@@ -154,7 +156,7 @@ def _check_gate(case: FeatureCase) -> None:
         # It provides a module and nothing to the server; control limits the module's requests.
         return
     package = plugin_package(case.spec.target.partition(":")[0])
-    for path in _sources(package) if package != SENDER_PACKAGE else ():
+    for path in _sources(package) if package != _SENDER else ():
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
             if isinstance(node, ast.ImportFrom) and node.module:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import functools
 import re
 import sys
@@ -12,6 +13,7 @@ from importlib.metadata import (
     distributions,
     packages_distributions,
 )
+from pathlib import Path
 
 import roboneuron
 from rn_testing.cases import PackageCase
@@ -35,14 +37,8 @@ from roboneuron import CommandSpec, FeatureSpec, Spec
 
 SENDING_NAME = "RosLink"
 """Class that joins the ROS graph and could send around the gate: only for commands, which are
-separate processes, and for the plugin of the direct path.
+separate processes.
 """
-SENDER = ("rn-standard", "rn-direct-path")
-"""Distribution and plugin of the gate, the only feature that may send; all others send through
-it.
-"""
-SENDER_PACKAGE = "rn_standard.direct_path"
-"""The package of that plugin."""
 KIT = "rn-testing"
 """Distribution of the contract kit."""
 
@@ -51,28 +47,44 @@ def lists_for(*, features: bool, commands: bool, is_kit: bool = False) -> frozen
     """Names in `LISTS` that a plugin may use, depending on whether its offers run in the server, in
     modules, or as a separate process. The contract kit may use all of them.
     """
-    lists = {"roboneuron.feature", "roboneuron.node"} if features or is_kit else set()
+    lists = {"roboneuron.feature"} if features or is_kit else set()
     return frozenset(lists | ({"roboneuron.command"} if commands or is_kit else set()))
 
 
-def is_public(name: str, lists: Collection[str], *, sends: bool = False) -> bool:
-    """True if a plugin may import `name`: `roboneuron.<name>`, and the names in these lists.
+@functools.cache
+def published(module: str) -> frozenset[str]:
+    """Names in the literal `__all__` of a module of the core: other distributions may use them.
+    Empty without one, and for packages. The module is not imported.
+    """
+    path = Path(roboneuron.__file__).parents[1].joinpath(*module.split(".")).with_suffix(".py")
+    if not path.is_file():
+        return frozenset()
+    for node in ast.parse(path.read_text(encoding="utf-8")).body:
+        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "__all__":
+            return frozenset(ast.literal_eval(node.value))
+    return frozenset()
+
+
+def is_public(name: str, lists: Collection[str]) -> bool:
+    """True if a plugin may import `name`: `roboneuron.<name>`, names in these lists, and names that
+    a module of the core publishes in `__all__`.
 
     Args:
         name: as returned by `imported_modules`.
         lists: allowed keys of `LISTS`.
-        sends: True for the direct path.
     """
     top, *inner = name.split(".")
     if top != PROJECT or not inner:
         return True
     of = f"{top}.{inner[0]}"
     if of not in LISTS:
-        return len(inner) == 1 and inner[0] in roboneuron.__all__
+        module, _, last = name.rpartition(".")
+        is_published = last in published(module) or bool(published(name))
+        return is_published or (len(inner) == 1 and inner[0] in roboneuron.__all__)
     name, used = [*inner[1:], "", ""][:2]
     is_listed = not name or name in LISTS[of].__all__
     is_open = not used or used in LISTS[of].GROUPS.get(name, ())
-    may_send = sends or of != "roboneuron.feature" or name != SENDING_NAME
+    may_send = of != "roboneuron.feature" or name != SENDING_NAME
     return of in lists and is_listed and is_open and may_send
 
 
@@ -88,7 +100,7 @@ def _check_direction(case: PackageCase) -> None:
     for path in source_files(case):
         for name, line in imported_modules(path):
             require(
-                is_public(name, lists, sends=(distribution, case.plugin) == SENDER),
+                is_public(name, lists),
                 f"{path.name}:{line} imports {name}; of the core this plugin may import what "
                 f"{where} list",
             )
@@ -201,8 +213,8 @@ def _needs(name: str) -> frozenset[str]:
 RULES: tuple[Rule[PackageCase], ...] = (
     Rule(
         id="package/import-direction",
-        text="Of the core it imports what `roboneuron` lists; with features or commands, "
-        "`roboneuron.feature`, `roboneuron.node` or `roboneuron.command` too.",
+        text="Of the core it imports what `roboneuron` and the `__all__` of a module list; with "
+        "features or commands, `roboneuron.feature` or `roboneuron.command` too.",
         source=PAGE,
         check=_check_direction,
     ),

@@ -12,7 +12,7 @@ from rn_testing.cases import PerceptionCase
 from rn_testing.effects import within
 from rn_testing.fakes import MemoryTopics
 from rn_testing.rule import NotApplicable, Rule, Violation, require
-from rn_testing.rules.clock import FUTURE_S, PAST_S, ros_clock
+from rn_testing.rules.clock import FUTURE_S, PAST_S, later, ros_clock
 from rn_testing.rules.perception import (
     FRAMES,
     SHORT_READ_S,
@@ -64,6 +64,20 @@ def _check_stamps(case: PerceptionCase) -> None:
                 early_s <= PAST_S,
                 f"a frame is stamped {early_s:.3g} s before open() in ROS time, in nanoseconds",
             )
+
+
+def _check_later(case: PerceptionCase) -> None:
+    with opened(case) as (source, topics):
+        for _ in range(FRAMES):
+            read_frame(case, source, topics)
+        with later():
+            # the first ones may have been captured before
+            frames = [read_frame(case, source, topics) for _ in range(2 * FRAMES)]
+            age_s = (ros_clock() - frames[-1].stamp_ns) / 1e9
+    require(
+        -FUTURE_S <= age_s <= PAST_S / 2,
+        f"an hour after the first frames a new one is stamped {age_s:.3g} s ago",
+    )
 
 
 def _check_capture(case: PerceptionCase) -> None:
@@ -202,6 +216,12 @@ RULES: tuple[Rule[PerceptionCase], ...] = (
         "A frame is stamped in nanoseconds of `Topics.now_ns`, neither before `open` nor in the "
         "future.",
         _check_stamps,
+        "roboneuron.contract.observation.Frame",
+    ),
+    perception_rule(
+        "stamps-do-not-drift",
+        "An hour later frames are stamped as they were before.",
+        _check_later,
         "roboneuron.contract.observation.Frame",
     ),
     perception_rule(

@@ -7,11 +7,11 @@ from typing import get_args
 
 from pydantic import BaseModel
 
-from rn_standard.selection.restricted import looks_restricted, marks
 from rn_testing.cases import Case
 from rn_testing.rule import NotApplicable, Rule, require
 from roboneuron import DriverSpec, RobotSpec, Spec
 from roboneuron.command import loading
+from roboneuron.selection.restricted import looks_restricted, marks
 
 
 def unmarked_options(model: type[BaseModel]) -> list[str]:
@@ -61,7 +61,7 @@ RULES: tuple[Rule[Case[Spec]], ...] = (
         id="descriptor/restricted-options-marked",
         text="Options that look as if they name hosts, files, commands or secrets say whether "
         "agents may set them.",
-        source="rn_standard.selection.restricted",
+        source="roboneuron.selection.restricted",
         check=_check_restricted_options,
     ),
 )

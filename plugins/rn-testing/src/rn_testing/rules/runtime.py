@@ -13,6 +13,7 @@ from rn_testing.cases import RuntimeCase
 from rn_testing.effects import check_quick, expect_refusal, within
 from rn_testing.lifecycle import Lifecycle, started
 from rn_testing.rule import NotApplicable, Rule, require
+from rn_testing.rules.clock import later
 from rn_testing.snapshots import has_nan, is_alike, snapshot
 from roboneuron import Acceleration, InvalidInputError, RoboNeuronError, Runtime
 
@@ -100,6 +101,8 @@ def _check_repeats(case: RuntimeCase) -> None:
                 runtime.run(make())
             again = _run(case, runtime)
             require(is_alike(first, again), "the answer to a request changes after another request")
+        with later():
+            require(is_alike(first, _run(case, runtime)), "an hour later the answer is another one")
 
 
 def _check_fresh(case: RuntimeCase) -> None:
@@ -182,6 +185,7 @@ def _check_acceleration(case: RuntimeCase) -> None:
         expect_refusal(
             lambda: refusing.load(model(), refused),
             "load with an acceleration that refuses the decoder",
+            InvalidInputError,
         )
     finally:
         refusing.close()
@@ -193,6 +197,13 @@ def _check_acceleration_stays(case: RuntimeCase) -> None:
         plain = copy.deepcopy(_run(case, runtime))
     with started(case, case.build, lambda runtime: runtime.load(model(), make())) as runtime:
         _run(case, runtime)
+        runtime.close()
+        with suppress(RoboNeuronError):  # it may refuse to be loaded again
+            runtime.load(model())
+            require(
+                is_alike(plain, _run(case, runtime)),
+                "a runtime keeps its acceleration when it is loaded again without one",
+            )
     with _loaded(case) as runtime:
         again = _run(case, runtime)
     require(
@@ -209,8 +220,13 @@ def _check_abort(case: RuntimeCase) -> None:
         runtime.close()
     if case.model is not None and case.request is not None:
         with _loaded(case) as loaded:
+            first = copy.deepcopy(_run(case, loaded))
+            if case.other_request is not None:
+                _answer(loaded, case.other_request())
             within(ABORT_LIMIT_S, loaded.abort, "abort without a run")
-            _run(case, loaded)
+            require(
+                is_alike(first, _run(case, loaded)), "after abort() a request is answered otherwise"
+            )
 
 
 def _check_abort_works(case: RuntimeCase) -> None:
@@ -271,7 +287,7 @@ RULES: tuple[Rule[RuntimeCase], ...] = (
     ),
     _rule(
         "run-repeatable",
-        "The same request gets the same answer, whatever was run before.",
+        "The same request gets the same answer, whatever was run before and whatever the time.",
         "run",
         _check_repeats,
     ),
@@ -313,7 +329,8 @@ RULES: tuple[Rule[RuntimeCase], ...] = (
     ),
     _rule(
         "abort-harmless",
-        "`abort` returns at once when nothing runs, before and after `load`.",
+        "`abort` returns at once when nothing runs, before and after `load`, and changes no later "
+        "answer.",
         "abort",
         _check_abort,
     ),

@@ -5,6 +5,6 @@ from roboneuron import Feature, Host
 
 class Borrower(Feature[None]):
     def start(self, host: Host) -> None:
-        from rn_standard.direct_path import writer
+        from roboneuron.direct_path import writer
 
         assert writer.TopicWriter

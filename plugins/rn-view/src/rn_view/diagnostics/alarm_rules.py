@@ -9,22 +9,15 @@ from typing import Any
 
 from rn_view.diagnostics.alarms import AlarmBook
 from rn_view.diagnostics.module_health import SHORT_S
-from roboneuron.feature import EXPLANATIONS, FAULTS
+from roboneuron.feature import StillReason
 
 STOP = "emergency stop"
-_ADVICE = {
-    "silent": "If it lasts, stop the module and start it again. The machine may be overloaded.",
-    "stuck": "Stop the module and start it again.",
-    "stalled": "See what it waits for (table of modules), then stop it and start it again.",
-    "exited": "Read its log (roboneuron logs), then start it again.",
-    "failing": "Do what the message says. The module continues once the cause is gone.",
-}
 _OF_LIMITS = {
     "scaled": "Nothing has stopped. If it repeats, slow the policy down or move the target.",
     "held": "The arm holds its position. Check the actions, then give the instruction again.",
     "refused": "The command was not sent. Check the actions of the policy.",
 }
-_LOOK = "Check the robot. Then a person releases the stop: roboneuron estop --reset."
+_LOOK = "Check the robot. Then a person releases the stop with the command at the top of this page."
 
 
 class AlarmRules:
@@ -38,24 +31,25 @@ class AlarmRules:
     def __init__(self, book: AlarmBook, clock: Callable[[], float] = time.monotonic) -> None:
         self._book, self._clock = book, clock
         self._lock = threading.Lock()
-        self._silent: dict[str, tuple[float, float, str]] = {}
+        self._silent: dict[str, tuple[float, float, StillReason]] = {}
         self._fallbacks = 0
 
-    def on_health(self, module: str, health: str, why: str, hint: str = "") -> None:
+    def on_health(self, module: str, health: str, reason: StillReason | None = None) -> None:
         """Handle a change of health. "silent" raises an alarm once it has lasted for a second,
         because reports may be late on a busy machine.
+
+        Args:
+            module: its kind.
+            health: its new health.
+            reason: what a module with a fault reports, see `ModuleView.still_reason`.
         """
         with self._lock:
             was_silent = self._silent.pop(module, None)
-            if health == "silent":
-                since_s = was_silent or (self._clock(), time.time(), why)
-                self._silent[module] = since_s
+            if health == "silent" and reason is not None:
+                self._silent[module] = was_silent or (self._clock(), time.time(), reason)
                 return
-        if health in FAULTS:
-            meaning = EXPLANATIONS[health]
-            cause = why or f"The module: {meaning}."
-            advice = hint or _ADVICE.get(health, "See its log.")
-            self._book.add(module, health, cause, advice)
+        if reason is not None:
+            self._book.add(module, health, reason.message, reason.hint)
         elif health in ("ok", "stopped"):
             self._book.end(module)
 
@@ -70,9 +64,8 @@ class AlarmRules:
             }
             for module in due:
                 del self._silent[module]
-        for module, (_, at_s, why) in due.items():
-            cause = why or "The module is alive, but does not report."
-            self._book.add(module, "silent", cause, _ADVICE["silent"], at_s=at_s)
+        for module, (_, at_s, reason) in due.items():
+            self._book.add(module, "silent", reason.message, reason.hint, at_s=at_s)
 
     def on_fault(self, module: str, what: str, facts: Mapping[str, object]) -> None:
         """Listener of `Events.fault`: faults that are not the health of a module."""

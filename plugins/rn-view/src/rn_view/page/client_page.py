@@ -300,7 +300,6 @@ class _Content:
         gui = client.gui
         self._source = source
         self._profile = profile
-        self._unchecked = profile.why_unchecked(source.config().limits)
         self._history = history
         self._gui = gui
         self._player = (
@@ -367,7 +366,7 @@ class _Content:
         self._modules.content = markup.modules_table(snapshot.modules)
         place = limit_place(snapshot.limits, snapshot.limit, self._profile.arm_joints, ())
         self._joints.content = markup.joints_table(
-            self._profile, measured.joints, place.joints, self._unchecked
+            self._profile, measured.joints, place.joints, snapshot.unchecked
         )
         self.scene.update_limit(snapshot)
         self.scene.update_chunk(measured, self._source.now_s())

@@ -5,7 +5,8 @@ It is plain HTML with HTTP requests (static/stop_bar.*), so it needs no websocke
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import socket
+from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
 
@@ -59,12 +60,14 @@ def base_page() -> str:
     return page
 
 
-def page_with_bar(base: str, robots: Sequence[str]) -> str:
+def page_with_bar(base: str, robots: Sequence[str], release: Mapping[str, str]) -> str:
     """Add the bar with the emergency stop of these robots to a page.
 
     Args:
         base: result of `base_page`.
         robots: names; several robots get a stop each, beside the common one.
+        release: command that releases the stop, by the name of a robot in the answer of
+            `STATE_PATH`.
     """
     title = f"{', '.join(robots)} - {TITLE}" if any(robots) else TITLE
     several = len(robots) > 1
@@ -89,6 +92,8 @@ def page_with_bar(base: str, robots: Sequence[str]) -> str:
         "header": HEADER,
         "value": HEADER_VALUE,
         "key": KEY,
+        "release": dict(release),
+        "machine": socket.gethostname(),
         "title": title,
         "ready": f"Not pressed. {', '.join(robots)}".rstrip(". "),
     }

@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping
 from typing import TypeVar
 
 from rn_standard.ops.maintenance import MaintenanceFeature
-from rn_standard.tools_loop.results import ModuleStatus
 from rn_view.diagnostics.active_limits import limit_counts
 from rn_view.diagnostics.alarm_rules import AlarmRules
 from rn_view.diagnostics.alarms import AlarmBook
@@ -25,6 +24,7 @@ from rn_view.sources.source import (
 from rn_view.tasks.past_tasks import TASK_TOOL, PastTasks
 from roboneuron import Host, RobotProfile
 from roboneuron.feature import FAULTS, Config, Health, ModuleView
+from roboneuron.tools.loop.results import ModuleStatus
 
 M = TypeVar("M")
 _SHOWN_VERDICTS = (
@@ -69,9 +69,10 @@ class ServerSource:
     def on_health(self, view: ModuleView, before: Health, health: Health) -> None:
         """Listener of `Events.health`."""
         report = view.report if health in FAULTS else None
-        why, hint = ("", "") if report is None else (report.error, report.error_hint)
+        why = "" if report is None else report.error
         self._health_lines.add(view.kind, health, before=before, why=why)
-        self._rules.on_health(view.kind, health, why, hint)
+        reason = view.still_reason(time.monotonic()) if health in FAULTS else None
+        self._rules.on_health(view.kind, health, reason)
 
     def on_fault(self, module: str, what: str, facts: Mapping[str, object]) -> None:
         """Listener of `Events.fault`."""
@@ -105,10 +106,17 @@ class ServerSource:
             modules=tuple(_row(status) for status in statuses),
             is_latched=is_latched,
             cause=stop.cause() if is_latched else "",
+            why_still=self._host.why_still(),
             instruction=instruction,
             limit=control.get("limit", ""),
             limit_counts=limit_counts(control),
+            unchecked=self._host.loop.unchecked,
         )
+
+    @property
+    def release_command(self) -> str:
+        """See Source."""
+        return self._host.loop.emergency_stop.file.release_command
 
     def is_latched(self) -> bool:
         """See Source."""

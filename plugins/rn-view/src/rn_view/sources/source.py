@@ -12,7 +12,7 @@ from rn_view.diagnostics.event_list import ShownEvents
 from rn_view.recordings.playback import Playback
 from rn_view.sources.records import RobotRecords
 from roboneuron import RobotProfile
-from roboneuron.feature import Config, ModuleKind, Registry, load_profile
+from roboneuron.feature import Config, ModuleKind, Registry, StillReason, load_profile
 
 M = TypeVar("M")
 MODULE_KINDS: tuple[ModuleKind, ...] = ("robot", "perception", "inference", "control")
@@ -126,20 +126,24 @@ class PageState:
     Attributes:
         modules: in the order of `MODULE_KINDS`.
         is_latched, cause: of the emergency stop; the cause says who pressed it and why.
+        why_still: why the robot does not move, as far as the source knows, see `Host.why_still`.
         instruction: the present instruction of the policy.
         limit: control's message about the limit that acted last. After `ActiveLimits`: about the
             limit that acts now, empty if none does.
         limit_counts: number of times each limit has acted, by its name as in `[limits] on_<name>`.
         limits: names of the limits that act now, see `ActiveLimits`.
+        unchecked: why places or distances are not checked, see `UncheckedPaths`; empty if they are.
     """
 
     modules: tuple[ModuleRow, ...] = ()
     is_latched: bool = False
     cause: str = ""
+    why_still: tuple[StillReason, ...] = ()
     instruction: str = ""
     limit: str = ""
     limit_counts: Mapping[str, int] = field(default_factory=dict)
     limits: tuple[str, ...] = ()
+    unchecked: str = ""
 
 
 class Source(Protocol):
@@ -181,6 +185,11 @@ class Source(Protocol):
 
     def snapshot(self) -> PageState:
         """State at the time shown."""
+        ...
+
+    @property
+    def release_command(self) -> str:
+        """Command with which a person releases the emergency stop, on the server's machine."""
         ...
 
     def is_latched(self) -> bool:

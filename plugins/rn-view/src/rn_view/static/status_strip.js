@@ -63,9 +63,9 @@
   const drawService = () => {
     const out = state.maintenance;
     if (out) {
-      body.replaceChildren(make("p", out + "."), make("p", "Every call that acts is refused, and the emergency stop is latched. It stays latched when the robot is put back in service: a person releases it with roboneuron estop --reset. Nothing moves before a new start.", "dim"));
+      body.replaceChildren(make("p", out + "."), make("p", "Every call that acts is refused, and the emergency stop is latched. It stays latched when the robot is put back in service: a person releases it with the command at the top of this page. Nothing moves before a new start.", "dim"));
       if (state.may_end) body.append(button("Put back in service", "Put the robot back in service", () =>
-        act("maintenance?end=1", () => say("In service. The emergency stop is still latched: release it with roboneuron estop --reset.")), "main"));
+        act("maintenance?end=1", () => say("In service. The emergency stop is still latched: the command that releases it is at the top of this page.")), "main"));
       else body.append(make("p", "Only an admin can put it back in service.", "dim"));
       return;
     }

@@ -8,7 +8,11 @@
     if (!answer.ok) throw new Error(told.text || answer.statusText);
     return told;
   };
-  const show = (word, text) => { bar.className = word; if (state.textContent !== text) state.textContent = text; };
+  const show = (word, text) => {
+    bar.className = word;
+    if (state.textContent !== text) state.textContent = text;
+    document.documentElement.style.setProperty("--rn-bar", bar.offsetHeight + "px");
+  };
   const press = async robot => {
     pressing = "Stopping " + (robot || (robots.length > 1 ? "all robots" : robots[0] || "the robot")) + " ...";
     show("", pressing);
@@ -34,7 +38,8 @@
       const names = Object.keys(latched), held = names.filter(name => latched[name]);
       const which = names.length > 1 ? ": " + held.join(", ") : "";
       if (!held.length) show("", CONFIG.ready);
-      else show("latched", "STOPPED" + which + ". A person releases the stop with: roboneuron estop --reset");
+      else show("latched", "STOPPED" + which + ". A person releases it in a terminal on " + CONFIG.machine + ": "
+        + held.map(name => CONFIG.release[name]).join("; "));
     } catch (error) {
       if (++failures > 2 && !pressing)
         show("lost", "No connection to the server (" + error.message + "). Use the robot's own stop.");

@@ -140,9 +140,18 @@ class PageTeleoperator:
             try:
                 self._sample = self._sample_of(told, now_s)
             except ForeignDataError as error:
-                text = f"The page has sent an invalid sample ({error})"
-                self._error = InvalidInputError(f"{text}; the arm rests.", hint="Reload the page.")
+                self._refuse(error)
             self._news.notify_all()
+
+    def refuse(self, error: ForeignDataError) -> None:
+        """Handle a message that cannot be decoded, as an invalid sample."""
+        with self._news:
+            self._refuse(error)
+            self._news.notify_all()
+
+    def _refuse(self, error: ForeignDataError) -> None:
+        text = f"The page has sent an invalid sample ({error})"
+        self._error = InvalidInputError(f"{text}; the arm rests.", hint="Reload the page.")
 
     def _sample_of(self, told: dict[str, Any], now_s: float) -> LeadSample:
         """Convert a message, with its time on our monotonic clock."""
@@ -252,8 +261,8 @@ class _LeadSocket:
                 return
             try:
                 told = foreign.table(foreign.decode_json(message, "a message"), "a message", 16)
-            except ForeignDataError:
-                self.source.put({}, now_s)
+            except ForeignDataError as error:
+                self.source.refuse(error)
                 continue
             if "begin" in told:
                 self._begin(told["begin"])

@@ -12,7 +12,7 @@ from rn_view.sources.measured_topics import MeasuredTopics
 from rn_view.teleoperation.slider_goal import SliderGoal
 from roboneuron import RoboNeuronError, RobotProfile, robot_space
 
-_TITLE, _SWITCH = "Lead", "Lead with these sliders"
+_TITLE, _SWITCH = "Sliders for a program", "Lead with these sliders"
 _HINT = (
     "For a program that follows this page, such as lerobot's teleoperator. Without one "
     "the sliders move nothing."

@@ -47,8 +47,8 @@ def stop_text(snapshot: PageState | None, label: str) -> str:
     cause = f": {escape(snapshot.cause)}" if snapshot.cause else ""
     return (
         f'<div style="{_SMALL};padding:6px 14px;background:{_ALARM};color:white"><b>EMERGENCY STOP '
-        f"LATCHED</b>{cause}. Check the robot. Then a person releases the stop with "
-        "<code>roboneuron estop --reset</code>.</div>"
+        f"LATCHED</b>{cause}. Check the robot. Then a person releases the stop with the command at "
+        "the top of this page.</div>"
     )
 
 
@@ -84,9 +84,14 @@ def mark_text(mark: Mark, position_s: float) -> str:
 
 
 def instruction_text(snapshot: PageState) -> str:
-    """The present instruction of the policy."""
+    """The present instruction of the policy, and why the robot does not move."""
     text = escape(snapshot.instruction) or "none"
-    return f'<div style="padding:4px 14px;font-size:14px">Instruction: <b>{text}</b></div>'
+    rows = "".join(
+        f"<li>{escape(reason.message)} <i>{escape(reason.hint)}</i></li>"
+        for reason in snapshot.why_still
+    )
+    why = f'<div style="{_SMALL}">It does not move:<ol>{rows}</ol></div>' if rows else ""
+    return f'<div style="padding:4px 14px;font-size:14px">Instruction: <b>{text}</b>{why}</div>'
 
 
 def modules_table(rows: Sequence[ModuleRow]) -> str:

@@ -108,8 +108,9 @@ class ArmScene:
                 self._label.position = track.pose[0] + _BESIDE_TCP_M
                 self._label.visible = True
         gripper = self._arm.gripper
-        if self._label is not None and gripper is not None and gripper.joint in joints:
-            text = f"{self._arm.name}: {gripper.to_opening(joints[gripper.joint]):.0%} open"
+        opening = None if gripper is None else gripper.opening_in(joints)
+        if self._label is not None and opening is not None:
+            text = f"{self._arm.name}: {opening:.0%} open"
             if self._label.text != text:
                 self._label.text = text
         trail = list(track.trail)

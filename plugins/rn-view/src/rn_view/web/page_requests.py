@@ -121,7 +121,7 @@ def _state(page: OpenPage) -> dict[str, object]:
 
 def _acknowledge(page: OpenPage, given: Mapping[str, str]) -> Body:
     records = page.source.records
-    _check_operator(page, "Acknowledging an alarm")
+    Role.OPERATOR.check(page.holder.who, page.holder.role, "Acknowledging an alarm")
     number = given.get("alarm", "")
     if records is None or not number.isdecimal():
         raise InvalidInputError(f"There is no alarm {number[:20]!r}.", path="alarm")
@@ -158,15 +158,6 @@ def _picture(page: OpenPage, given: Mapping[str, str]) -> Body:
     if data is None:
         raise InvalidInputError("There is no picture of this task.", path="task")
     return HTTPStatus.OK, data, "image/jpeg"
-
-
-def _check_operator(page: OpenPage, what: str) -> None:
-    if not Role.OPERATOR.is_held_by(page.holder.role):
-        raise RefusedError(
-            f"{what} needs the role '{Role.OPERATOR}'; {page.holder.who} has "
-            f"{page.holder.role or 'none'!r}.",
-            rule="role",
-        )
 
 
 def _told(status: HTTPStatus, value: Mapping[str, Any]) -> Body:

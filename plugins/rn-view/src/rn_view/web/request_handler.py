@@ -127,6 +127,7 @@ class RequestHandler:
                 else stop_bar.page_with_bar(
                     self._base,
                     [name or one.config().namespace for name, one in self._robots().items()],
+                    {name: one.release_command for name, one in self._robots().items()},
                 )
             )
             page = page if recorded else with_status_strip(with_stick_panel(page))

@@ -8,6 +8,9 @@ from .driver_limits import (
     MOST_POINTS as MOST_POINTS,
     DriverLimiter as DriverLimiter,
 )
+from .driver_paths import (
+    DriverPaths as DriverPaths,
+)
 from .limiter import (
     MotionLimiter as MotionLimiter,
 )

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ET
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 from roboneuron.contract import F64, RobotProfile, urdf_joints
 
@@ -45,6 +45,24 @@ class Reach:
             self._levers.get(n, 1.0) * d for n, d in zip(names, change.tolist(), strict=True)
         )
         return max(1, math.ceil(float(travel_m) / self._spacing_m))
+
+
+def postures(
+    start: F64, change: F64, count: int, slopes: tuple[F64, F64] | None = None
+) -> Iterator[F64]:
+    """Yield the `count` postures after `start` up to `start + change`, float64 (n,) each: on a
+    line, or on the cubic with these slopes at its ends [rad or m in its whole time].
+    """
+    for number in range(1, count + 1):
+        s = number / count
+        passed = s * change
+        if slopes is not None:
+            passed = (
+                s * s * (3.0 - 2.0 * s) * change
+                + s * (1.0 - s) ** 2 * slopes[0]
+                - s * s * (1.0 - s) * slopes[1]
+            )
+        yield start + passed
 
 
 def levers_m(profile: RobotProfile) -> dict[str, float]:

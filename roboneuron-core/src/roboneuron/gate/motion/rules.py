@@ -4,7 +4,7 @@ profile.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -53,6 +53,8 @@ _TIGHTER = {
     "min_singular_value": 1.0,
 }
 """Numbers that may be tightened at run time: upwards (1) or downwards (-1)."""
+FAR_M = 100.0
+"""Farther than any arm reaches."""
 _EVERYWHERE = Workspace(lower_m=np.full(3, -np.inf), upper_m=np.full(3, np.inf))
 
 
@@ -68,6 +70,8 @@ class MotionRules:
         lower_m, upper_m: workspace box of the TCP, float64 (3,), base frame.
         min_height_m: lowest z of the TCP, base frame.
         zones: boxes that the TCP must not enter.
+        arm_zones: boxes that no moving link, and nothing held, must enter, each with the name of
+            its limit.
         min_singular_value: smallest allowed distance from a singularity.
         collision: bodies that the arm must not touch; None if not checked.
     """
@@ -83,6 +87,7 @@ class MotionRules:
     upper_m: F64 = field(default_factory=lambda: _EVERYWHERE.upper_m)
     min_height_m: float = -np.inf
     zones: tuple[Obstacle, ...] = ()
+    arm_zones: tuple[tuple[str, Obstacle], ...] = ()
     min_singular_value: float = 0.0
     collision: CollisionProfile | None = None
 
@@ -99,7 +104,11 @@ def motion_rules(config: LimitsConfig, profile: RobotProfile) -> MotionRules:
             `collision_of`.
     """
     widest = profile.workspace or _EVERYWHERE
-    lower, upper = config.workspace_lower_m, config.workspace_upper_m
+    lower, upper, least_m = config.workspace_lower_m, config.workspace_upper_m, config.min_height_m
+    beyond_box: tuple[tuple[str, Obstacle], ...] = ()
+    if config.applies_to == "arm":
+        beyond_box = tuple(faces(lower, upper, least_m))
+        lower = upper = least_m = None
     workspace = _box(
         "workspace",
         "the TCP's",
@@ -122,8 +131,20 @@ def motion_rules(config: LimitsConfig, profile: RobotProfile) -> MotionRules:
         max_turn_rad_s=config.max_turn_rad_s,
         lower_m=workspace.lower_m,
         upper_m=workspace.upper_m,
-        min_height_m=-np.inf if config.min_height_m is None else config.min_height_m,
-        zones=tuple(_box("zones", zone.name, zone.lower_m, zone.upper_m) for zone in config.zones),
+        min_height_m=-np.inf if least_m is None else least_m,
+        zones=tuple(
+            _box("zones", zone.name, zone.lower_m, zone.upper_m)
+            for zone in config.zones
+            if zone.applies_to == "tcp"
+        ),
+        arm_zones=(
+            *beyond_box,
+            *(
+                ("zone", _box("zones", zone.name, zone.lower_m, zone.upper_m))
+                for zone in config.zones
+                if zone.applies_to == "arm"
+            ),
+        ),
         min_singular_value=config.min_singular_value,
         collision=collision_of(config, profile),
     )
@@ -201,6 +222,32 @@ def poses_of(controller: Controller) -> Callable[[JointSample], tuple[Pose, ...]
     if isinstance(controller, SeveralArms):
         return controller.poses
     return lambda joints: (controller.forward(joints),)
+
+
+def faces(
+    lower_m: Iterable[float] | None, upper_m: Iterable[float] | None, least_m: float | None
+) -> Iterator[tuple[str, Obstacle]]:
+    """What lies beyond each face of a box, and below a height, with the name of the limit."""
+    sides = [("workspace", lower_m, ">="), ("workspace", upper_m, "<=")]
+    for limit, corner, relation in sides:
+        for axis, edge_m in enumerate(() if corner is None else corner):
+            if abs(edge_m) < FAR_M:
+                yield limit, beyond(axis, relation, edge_m)
+    if least_m is not None and abs(least_m) < FAR_M:
+        yield "height", beyond(2, ">=", least_m)
+
+
+def beyond(axis: int, relation: str, edge_m: float) -> Obstacle:
+    """The space on the forbidden side of a plane.
+
+    Args:
+        axis: 0, 1 or 2.
+        relation: ">=" or "<=": what is allowed.
+        edge_m: coordinate of the plane.
+    """
+    lower, upper = np.full(3, -FAR_M), np.full(3, FAR_M)
+    (upper if relation == ">=" else lower)[axis] = edge_m
+    return Obstacle(name=f"{'xyz'[axis]} {relation} {edge_m:g} m", lower_m=lower, upper_m=upper)
 
 
 def _box(key: str, name: str, lower_m: ArrayLike, upper_m: ArrayLike) -> Obstacle:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
+from itertools import islice
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from roboneuron.contract import F64, STATE_STEP_S, JointSample, Pose, Posture, R
 from roboneuron.errors import UnsafeError
 from roboneuron.gate.motion.command import Step
 from roboneuron.gate.motion.joint_space import JointLimit, JointSpace
-from roboneuron.gate.motion.path import Reach
+from roboneuron.gate.motion.path import Reach, postures
 from roboneuron.gate.motion.rules import MotionRules
 from roboneuron.gate.motion.task_space import Motion, TaskSpace, largest
 
@@ -232,13 +233,14 @@ class Shortener:
         for number, (pose, end) in enumerate(zip(measured, target.arms, strict=True)):
             for name, reason in self._task.places(pose, end, partial(evaluate_start, number)):
                 yield name, reason if name == "collision" else f"{self._arms[number]}{reason}"
-        if self._profile.collision is None:
+        if self._profile.collision is None and not self._task.judges_links:
             return
         displacement = step.target - step.measured
         count = self._reach.count(self._names, np.abs(displacement))
-        for number in range(1, count):
-            passed = self._evaluate(step, step.measured + displacement * (number / count))
-            for violation in self._task.collisions(passed, evaluate_start):
+        # without the last one, the target, which was judged above
+        for position in islice(postures(step.measured, displacement, count), count - 1):
+            passed = self._evaluate(step, position)
+            for violation in self._task.links(passed, evaluate_start):
                 yield violation
                 return
 

@@ -51,6 +51,12 @@ def largest(motions: Sequence[Motion]) -> Motion:
     )
 
 
+_PLAY_M = 1e-6
+"""A link that stays as deep in a zone as it was, but for rounding, does not keep the others from
+leading the arm out.
+"""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class TaskSpace:
     """Limits on the positions of the TCP and the links, for actions and joint motions;
@@ -142,9 +148,58 @@ class TaskSpace:
                     "singularity",
                     f"The smallest singular value would be {singular:.4f}, allowed is {least:g}.",
                 )
-        yield from self.collisions(end, evaluate_start)
+        yield from self.links(end, evaluate_start)
 
-    def collisions(
+    def links(
+        self, end: Posture, evaluate_start: Callable[[], Posture]
+    ) -> Iterator[tuple[str, str]]:
+        """Limits that the links violate in a posture: name, reason; arguments as of `places`."""
+        yield from self._collisions(end, evaluate_start)
+        if not self._rules.arm_zones:
+            return
+        found = self.protrusions(end)
+        if not found:
+            return
+        start = evaluate_start()
+        before = {} if start is end else self.protrusions(start)
+        for (link, name), (limit, depth_m) in found.items():
+            if (link, name) in before and depth_m <= before[link, name][1] + _PLAY_M:
+                continue
+            is_face = " <= " in name or " >= " in name
+            where = f"beyond {name}" if is_face else f"in {name!r}"
+            yield limit, f"{link} would be {math.ceil(depth_m * 1e3)} mm {where}."
+
+    def protrusions(self, posture: Posture) -> dict[tuple[str, str], tuple[str, float]]:
+        """How deep [m] each link is in each zone of the whole arm, and the name of the limit, by
+        link and zone.
+
+        Raises:
+            UnsafeError: the controller does not tell where the links are.
+        """
+        zones = self._rules.arm_zones
+        if not zones:
+            return {}
+        if posture.extents is None:
+            raise UnsafeError(
+                "the controller does not tell where the links are; see applies_to in [limits]"
+            )
+        links = posture.extents()
+        lower_m = np.stack([zone.lower_m for _, zone in zones])
+        upper_m = np.stack([zone.upper_m for _, zone in zones])
+        into_m = np.minimum(
+            links.upper_m[:, np.newaxis] - lower_m, upper_m - links.lower_m[:, np.newaxis]
+        ).min(axis=2)
+        return {
+            (links.names[link], zones[zone][1].name): (zones[zone][0], float(into_m[link, zone]))
+            for link, zone in np.argwhere(into_m > 0.0).tolist()
+        }
+
+    @property
+    def judges_links(self) -> bool:
+        """True if limits hold for the whole arm."""
+        return bool(self._rules.arm_zones)
+
+    def _collisions(
         self, end: Posture, evaluate_start: Callable[[], Posture]
     ) -> Iterator[tuple[str, str]]:
         """Pairs of bodies that are too close in a posture and not farther apart than at the start

@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
+import io
 import time
 
 import anyio
+import numpy as np
+from PIL import Image
 
 from rn_eval.agents.client import ToolAnswer, ToolClient
-from rn_eval.agents.seeing import visible_colours
 from roboneuron import NotReadyError
+from roboneuron.sight import segmentation
+
+
+def visible_colours(encoded: bytes) -> list[str]:
+    """Colour words of the visible colours, in the order of `segmentation.HUES_DEG`."""
+    with Image.open(io.BytesIO(encoded)) as opened:
+        return segmentation.visible_colours(np.asarray(opened.convert("RGB")))
+
 
 DONE = "CLAIM: done"
 _ATTEMPT_S = 25.0

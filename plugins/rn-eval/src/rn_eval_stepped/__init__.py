@@ -1,0 +1,1 @@
+"""Stepped time: what a server and its modules do where a simulated robot waits for commands."""

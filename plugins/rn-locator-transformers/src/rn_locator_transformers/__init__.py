@@ -1,0 +1,1 @@
+"""Zero-shot detectors of the library transformers as a locator."""

@@ -1,0 +1,198 @@
+"""Pictures of all cameras of a robot, and where each camera was when it took them."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roboneuron.contract import Frame, Pose, RobotProfile
+from roboneuron.contract.locator import CalibratedImage
+from roboneuron.server.host import Host
+from roboneuron.sight.inputs import (
+    Inputs,
+    depth_topic,
+    image_topic,
+    pose_of,
+    pose_topic,
+    why_no_image,
+)
+from roboneuron.sight.pose_history import PoseHistory
+
+_OLDEST_S = 2.0
+"""Older pictures do not tell where things are now."""
+_WAIT_S = 0.8
+_POLL_S = 0.01
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class CellView:
+    """What the cameras show at one moment.
+
+    Attributes:
+        images: of the cameras whose place is known.
+        frames: of all cameras that sent a picture that is not too old.
+        problems: why a camera is not among the images, and the call that helps, by its name.
+        tcps: newest TCP pose of each arm, by its name; "" for the only one.
+        taken_ns: when it was put together, system clock [ns].
+        taken_s: likewise, monotonic [s].
+    """
+
+    images: tuple[CalibratedImage, ...]
+    frames: tuple[Frame, ...]
+    problems: Mapping[str, str]
+    tcps: Mapping[str, Pose]
+    taken_ns: int
+    taken_s: float
+
+
+class _Poses:
+    """Pose history of one arm, which the thread of the ROS node adds to."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._history = PoseHistory()
+
+    def add(self, message: Any) -> None:
+        pose = pose_of(message)
+        assert pose is not None
+        with self._lock:
+            self._history.add(pose)
+
+    def at(self, stamp_ns: int) -> NDArray[np.float64] | None:
+        with self._lock:
+            return self._history.at(stamp_ns)
+
+
+class _CellWatch:
+    """Subscriptions to the cameras and arms of a robot, for one view."""
+
+    def __init__(
+        self, host: Host, profile: RobotProfile | None, newer_than_ns: int, table_m: float
+    ) -> None:
+        self._host, self._profile, self._newer_than_ns = host, profile, newer_than_ns
+        self._table_m = table_m
+        self._space = host.config.namespace
+        self.inputs = Inputs(host, age_factor=np.inf)
+        self._cameras = tuple(host.loop.camera_roles())
+        self._deep: set[str] = set()
+        self._oldest_s = np.inf if host.clock(self._space).stands else _OLDEST_S
+        arms = () if profile is None else profile.each_arm
+        self._arms = tuple(dict.fromkeys(["", *(arm.name for arm in arms)]))
+        self._poses = {arm: _Poses() for arm in self._arms}
+
+    def open(self) -> None:
+        """Subscribe; the poses first. Raises RoboNeuronError: ROS cannot be joined."""
+        for arm, poses in self._poses.items():
+            topic = pose_topic(self._space, arm)
+            self.inputs.open(topic, "geometry_msgs/msg/PoseStamped", poses.add)
+        for camera in self._cameras:
+            topic = image_topic(self._space, camera)
+            if self._host.graph.publishers(depth_topic(topic)):
+                self._deep.add(camera)
+            self.inputs.open_camera(topic, with_depth=camera in self._deep)
+
+    def view(self) -> CellView:
+        """What has arrived so far."""
+        found = {camera: self._judge(camera) for camera in self._cameras}
+        frames = {camera: self._frame(camera) for camera in self._cameras}
+        return CellView(
+            images=tuple(one for one in found.values() if isinstance(one, CalibratedImage)),
+            frames=tuple(one for one in frames.values() if isinstance(one, Frame)),
+            problems={camera: one for camera, one in found.items() if isinstance(one, str)},
+            tcps=self._tcps(),
+            taken_ns=time.time_ns(),
+            taken_s=time.monotonic(),
+        )
+
+    def is_complete(self, view: CellView) -> bool:
+        """True if waiting longer does not help: what is missing was never calibrated."""
+        bare = {frame.camera for frame in view.frames if not self._is_mounted(frame.camera)}
+        late = {frame.camera for frame in view.frames if frame.depth_m is None} & self._deep
+        return view.problems.keys() <= bare and not late
+
+    def _is_mounted(self, camera: str) -> bool:
+        known = None if self._profile is None else self._profile.camera(camera)
+        return known is not None and known.calibration is not None
+
+    def _frame(self, camera: str) -> Frame | str:
+        """The newest picture, or why there is none."""
+        topic = image_topic(self._space, camera)
+        frame = self.inputs.frame(topic, camera, self._profile)
+        if frame is None:
+            return f"It sends no picture. {why_no_image(self._host)}"
+        age_s = (time.time_ns() - frame.stamp_ns) / 1e9
+        if age_s > self._oldest_s:
+            return f"Its newest picture is {age_s:.1f} s old. See get_status, perception."
+        if frame.stamp_ns <= self._newer_than_ns:
+            return "It has sent no picture since the motion. Call look again."
+        return frame
+
+    def _judge(self, camera: str) -> CalibratedImage | str:
+        """The placed picture of a camera, or why there is none."""
+        frame = self._frame(camera)
+        if isinstance(frame, str):
+            return frame
+        calibration = frame.calibration
+        if calibration is None:
+            return "It is not calibrated for pictures of this size: it tells no places."
+        if calibration.arm is None:
+            return self._placed(frame, calibration.T_mount_camera)
+        poses = self._poses.get(calibration.arm)
+        tcp = None if poses is None else poses.at(frame.stamp_ns)
+        if tcp is not None:
+            return self._placed(frame, tcp @ calibration.T_mount_camera)
+        if self.inputs.last(pose_topic(self._space, calibration.arm)) is None:
+            if self._host.modules.view("control").phase != "running":
+                return "The arm that carries it is not measured. Call start_control."
+            return "The pose of the arm that carries it is late: see get_status, and call again."
+        return "The arm that carries it moves. Call look again when it rests."
+
+    def _placed(self, frame: Frame, T_base_camera: NDArray[np.float64]) -> CalibratedImage:
+        return CalibratedImage(frame=frame, T_base_camera=T_base_camera, table_m=self._table_m)
+
+    def _tcps(self) -> dict[str, Pose]:
+        poses = {arm: pose_of(self.inputs.last(pose_topic(self._space, arm))) for arm in self._arms}
+        several = self._profile is not None and bool(self._profile.arms)
+        return {
+            arm: pose for arm, pose in poses.items() if pose is not None and (arm or not several)
+        }
+
+
+def take_view(
+    host: Host,
+    profile: RobotProfile | None,
+    *,
+    table_m: float,
+    newer_than_ns: int = 0,
+    wait_s: float = _WAIT_S,
+) -> CellView:
+    """Take the next picture of each camera; blocks until all have one with a known place, and for
+    at most `wait_s`.
+
+    Args:
+        host: of the feature.
+        profile: of the present robot; without one no camera is calibrated.
+        table_m: height of the table's top in the base frame [m].
+        newer_than_ns: only pictures taken later, ROS clock [ns].
+        wait_s: longest wait [s].
+
+    Raises:
+        RoboNeuronError: ROS cannot be joined.
+    """
+    watch = _CellWatch(host, profile, newer_than_ns, table_m)
+    deadline_s = time.monotonic() + wait_s
+    try:
+        watch.open()
+        view = watch.view()
+        while not watch.is_complete(view) and time.monotonic() < deadline_s:
+            time.sleep(_POLL_S)
+            view = watch.view()
+        return view
+    finally:
+        watch.inputs.close()

@@ -1,0 +1,1 @@
+"""Tools that every server has: of the closed loop, of arms, of ROS interfaces, and to look."""

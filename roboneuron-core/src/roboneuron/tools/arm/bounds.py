@@ -1,0 +1,60 @@
+"""Which limit forbids a place of the TCP, by its edge."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from roboneuron.errors import RefusedError, RoboNeuronError
+from roboneuron.server.host import Host
+from roboneuron.tools.arm.ee_line import F64
+from roboneuron.tools.arm.routes import Waypoint
+
+_AXES = ("x", "y", "z")
+_PLAY_M = 5e-4
+LOOSEN = "A person can loosen them (loosen_limits, or: roboneuron limits --loosen)."
+
+
+def refused_route(
+    host: Host, subject: str, route: Iterable[Waypoint], refusal: RoboNeuronError
+) -> RefusedError:
+    """The refusal of a route: by the limit that one of its places is outside of, else because the
+    arm does not get there.
+
+    Args:
+        host: with the limits in force.
+        subject: what is out of reach.
+        route: that was predicted.
+        refusal: of the prediction.
+    """
+    for part in route:
+        told = None if part.position_m is None else outside(host, part.position_m)
+        if told:
+            is_tightened = host.modules.tightened is not None
+            return RefusedError(
+                f"{subject} is not allowed: {part.what} is at {told}.",
+                hint=LOOSEN if is_tightened else "See get_status, or the configuration.",
+                rule="workspace",
+            )
+    return RefusedError(
+        f"{subject} is out of reach from this posture; nothing has moved. As simulated: "
+        f"{refusal.message}",
+        hint="Choose another place, or another posture to begin from.",
+        rule="out_of_reach",
+    )
+
+
+def outside(host: Host, place_m: F64) -> str:
+    """By which limit the TCP must not be at a place (3,), with its edge; empty if it may."""
+    limits = host.loop.limits
+    edges = ((limits.workspace_lower_m, 1.0, ">="), (limits.workspace_upper_m, -1.0, "<="))
+    for corner, sign, relation in edges:
+        for axis, at_m, edge_m in zip(_AXES, place_m.tolist(), corner or (), strict=False):
+            if sign * (at_m - edge_m) < -_PLAY_M:
+                return f"{axis} = {at_m:.3f} m, and the TCP stays at {axis} {relation} {edge_m:g} m"
+    for zone in limits.zones:
+        if (np.array(zone.lower_m) < place_m).all() and (place_m < np.array(zone.upper_m)).all():
+            box = f"{list(zone.lower_m)} to {list(zone.upper_m)}"
+            return f"{np.round(place_m, 3).tolist()} m, in the box {box} that the TCP stays out of"
+    return ""

@@ -1,0 +1,12 @@
+"""The feature keeps the contract of features, and its package that of plugins."""
+
+import pytest
+
+from rn_testing import FeatureCase, FeatureContract
+from roboneuron.tools.loop.plugin import FEATURE
+
+
+class TestLoopTools(FeatureContract):
+    @pytest.fixture
+    def plugin(self) -> FeatureCase:
+        return FeatureCase(spec=FEATURE)
