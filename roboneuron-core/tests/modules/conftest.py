@@ -106,7 +106,7 @@ class World:
             config=parse_config(edited(extra, replace)),
             state_directory=str(self.state_directory),
             on_join=("loop_plugin:join", "roboneuron.tools.arm.limit_reports:join"),
-            shadow=shadow,
+            is_successor=shadow,
         )
         node = ModuleNode(settings, classes[kind])
         self.executor.add_node(node)
@@ -198,7 +198,7 @@ class Host:
 
         self.settings, self.clock = settings, clock
         self.status = StatusWriter(settings.status_name)
-        self.handover = Windows(settings.shadow, self.status)
+        self.handover = Windows(settings.is_successor, self.status)
         self.filters = [self.handover]
         self.resources = ExitStack()
         self.stopped = False

@@ -244,7 +244,7 @@ class Windows(StepFilter):
 
 
 def join(host: Any) -> None:
-    windows = Windows(host.settings.shadow, host.status)
+    windows = Windows(host.settings.is_successor, host.status)
     host.filters.append(windows)
     host.on_configured.append(windows.come_between)
     for name, moment_ns in windows.moments.items():

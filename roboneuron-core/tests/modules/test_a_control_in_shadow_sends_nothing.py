@@ -24,7 +24,7 @@ def cell(make_host: MakeHost) -> Cell:
 
 
 def test_in_shadow_everything_is_worked_out_and_nothing_sent(make_host: MakeHost) -> None:
-    cell = Cell(make_host, shadow=True)
+    cell = Cell(make_host, is_successor=True)
     cell.act()
     for _ in range(2):
         cell.go(0.001)

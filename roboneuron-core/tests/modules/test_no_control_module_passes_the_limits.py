@@ -185,7 +185,7 @@ def test_what_was_held_up_or_is_not_ours_is_not_sent(cell: Cell, make_host: Make
     cell.host.handover.set("act_until_ns", 0)
     cell.module.deactivate()
     cell.module.ask([0.505, -0.5])
-    shadow = Cell(make_host, shadow=True)
+    shadow = Cell(make_host, is_successor=True)
     shadow.module.ask([0.505, -0.5])
     assert (cell.sent, shadow.sent) == ([], [])
 

@@ -13,6 +13,7 @@ import pytest
 from rn_testing.fakes import fake_plan
 from roboneuron.config import Config
 from roboneuron.modules.report import Report
+from roboneuron.modules.status import StatusWriter
 from roboneuron.supervisor.health import Health, ModuleView, Watch
 from roboneuron.supervisor.supervisor import Supervisor
 
@@ -85,6 +86,31 @@ def test_one_word_says_how_a_module_is(
     assert (
         ModuleView(kind="robot", phase="running", report=report(**values)).health(now_s) == expected
     )
+
+
+def test_an_event_is_passed_on_once_and_the_next_process_counts_anew() -> None:
+    reports: list[Report | None] = [None]
+    told: list[tuple[object, ...]] = []
+    watch = Watch(
+        lambda: [ModuleView(kind="inference", phase="running", report=reports[-1])],
+        lambda view, before, health: None,
+        lambda *event: told.append(event),
+    )
+    status = StatusWriter("/toy/inference")
+    for event in ("", "fallback", "fallback_over"):
+        if event:
+            status.tell(event, "late")
+        reports.append(Report.from_values(status.report().to_values()))
+        watch.look()
+        watch.look()
+    assert told == [
+        ("inference", event, {"explanation": "late"}) for event in ("fallback", "fallback_over")
+    ]
+    reports.append(None)
+    watch.look()
+    reports.append(report(event="fallback", event_text="late", event_count=1))
+    watch.look()
+    assert len(told) == 3
 
 
 @pytest.mark.ros

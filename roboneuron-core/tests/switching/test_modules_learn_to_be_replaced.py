@@ -18,7 +18,7 @@ def joined(*, shadow: bool) -> tuple[Any, dict[str, tuple[Any, ...]]]:
     """A host that keeps what it is given, and its parameters."""
     parameters: dict[str, tuple[Any, ...]] = {}
     host = SimpleNamespace(
-        settings=SimpleNamespace(shadow=shadow),
+        settings=SimpleNamespace(is_successor=shadow),
         status=StatusWriter("fake/inference"),
         resources=ExitStack(),
         filters=[],

@@ -379,7 +379,7 @@ class ModuleSettings(BaseModel):
         on_join: "module:attribute" of functions of features, called with the module's node
             (`ModuleHost`).
         tightened: limits that replace the configured ones, none of them wider.
-        shadow: process live inputs without publishing until a filter says that it is over.
+        is_successor: a module of its kind works already; a filter says when this one replaces it.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -389,7 +389,7 @@ class ModuleSettings(BaseModel):
     config: Config
     state_directory: str = ""
     tightened: LimitsConfig | None = None
-    shadow: bool = False
+    is_successor: bool = False
     needs_start: str = ""
     on_join: tuple[str, ...] = ()
 

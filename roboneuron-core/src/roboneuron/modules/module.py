@@ -192,11 +192,11 @@ class ModuleNode(ModuleHost):
         """Create the module; if it or an extension fails, release what it has acquired.
 
         Raises:
-            ConfigurationError: it is to run in shadow, and no feature would end the shadow.
+            ConfigurationError: it is to replace another module, and no feature says when.
             RoboNeuronError: raised by the module.
         """
         phases = [one.phase for one in self.filters]
-        if self.settings.shadow and StepFilter.StepPhase.HANDOVER not in phases:
+        if self.settings.is_successor and StepFilter.StepPhase.HANDOVER not in phases:
             raise ConfigurationError(
                 "This process is to replace a running module, but nothing here says when.",
                 hint="Install the package of the feature that replaces modules here too.",

@@ -78,6 +78,8 @@ class Report(ModuleFacts):
 
     Attributes:
         error_code, error, error_hint: the newest failure; empty again once the module works.
+        event, event_text, event_count: word and explanation of the newest event that is no error,
+            and the number of events since the start.
         instruction_count: changes of the instruction since the start.
         stops: stops that this process has seen: emergency stops, faults of the robot, a silent
             server.
@@ -89,6 +91,9 @@ class Report(ModuleFacts):
     error_code: str = ""
     error: str = ""
     error_hint: str = ""
+    event: str = ""
+    event_text: str = ""
+    event_count: int = 0
     instruction_count: int = 0
     stops: int = 0
     received_s: float = 0.0

@@ -101,7 +101,7 @@ class StatusWriter:
             "error": "",
             "error_hint": "",
         }
-        self._errors = 0
+        self._errors = self._events = 0
         self._detail: dict[str, str] = {}
         self._metrics: dict[str, str] = {}
         self._work: dict[str, tuple[float, float]] = {}
@@ -153,6 +153,18 @@ class StatusWriter:
     def clear_error(self) -> None:
         """Report that the module works again."""
         self.announce(error_code="", error="", error_hint="")
+
+    def tell(self, event: str, text: str) -> None:
+        """Report at once an event that is no error; the server passes it on to its features.
+
+        Args:
+            event: a word, such as "fallback".
+            text: explanation.
+        """
+        with self._lock:
+            self._events += 1
+            self._fields |= {"event": event, "event_text": text}
+        self.changed.set()
 
     def set(self, **fields: str | float | bool) -> None:
         """Report fields of `Report` by their names, with the next period.
@@ -224,6 +236,7 @@ class StatusWriter:
         rate_hz, age_s = self.output.rate_and_age()
         measured: dict[str, object] = {
             "error_count": self._errors,
+            "event_count": self._events,
             "uptime_s": round(now_s - self._started_s, 1),
             "loop_age_s": round(now_s - self._loop_s, 3),
             "rate_hz": round(rate_hz, 2),

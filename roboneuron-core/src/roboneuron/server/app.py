@@ -109,6 +109,7 @@ class Application:
         self._watch = Watch(
             lambda: self.loop.starts.look(self.loop.emergency_stop.follow_file()),
             self.events.health.tell,
+            self.events.fault.tell,
         )
         self.tools = ToolRegistry(
             [*stop_tools(self.loop, self._motions), emergency_tool(self.loop)],

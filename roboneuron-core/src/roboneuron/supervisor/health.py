@@ -301,28 +301,34 @@ class Modules:
 
 
 class Watch(Periodic):
-    """Thread that checks all modules and reports every change of their health.
+    """Thread that checks all modules and reports every change of their health, and their events.
 
     Args:
         views: the modules.
         listener: called on the watching thread with the module, its previous health and its present
             one; must return quickly.
+        on_event: called likewise with the module's kind, and the word and details of an event that
+            it reports.
     """
 
     def __init__(
         self,
         views: Callable[[], Sequence[ModuleView]],
         listener: Callable[[ModuleView, Health, Health], object],
+        on_event: Callable[[str, str, dict[str, str]], object] = lambda *event: None,
     ) -> None:
         super().__init__("watch", LOOK_S, self.look)
         self._views = views
         self._listener = listener
+        self._on_event = on_event
         self._known: dict[str, Health] = {}
+        self._events: dict[str, int] = {}
 
     def look(self) -> None:
         """Compare the health of all modules with the last known one."""
         now_s = time.monotonic()
         for view in self._views():
+            self._note_event(view)
             health, before = view.health(now_s), self._known.get(view.kind, "stopped")
             if health == before:
                 continue
@@ -330,3 +336,11 @@ class Watch(Periodic):
             level = logging.WARNING if health in FAULTS else logging.INFO
             log.log(level, "%s: %s (was %s): %s.", view.kind, health, before, EXPLANATIONS[health])
             self._listener(view, before, health)
+
+    def _note_event(self, view: ModuleView) -> None:
+        """Pass on a module's newest event, once; without a report the next process counts anew."""
+        report = view.report
+        count = 0 if report is None else report.event_count
+        if report is not None and count > self._events.get(view.kind, 0):
+            self._on_event(view.kind, report.event, {"explanation": report.event_text})
+        self._events[view.kind] = count

@@ -137,8 +137,8 @@ class Supervisor(Modules):
         Args:
             plan: the module and its options.
             on_stage: called with a phrase at each stage of the start.
-            beside: one of `slots` other than the first: the module starts there, in shadow, while
-                another one works.
+            beside: one of `slots` other than the first: the module starts there, as the
+                successor of the one that works.
             halt: set when the client cancels its call, which cancels the start.
 
         Raises:
@@ -161,7 +161,7 @@ class Supervisor(Modules):
                 on_join=self.on_join,
             )
             if beside is not None:
-                settings = self._in_shadow(settings, working)
+                settings = self._as_successor(settings, working)
             slot = beside or working
             slot.begin_start(plan, settings, halt)
         self.heartbeat.start()
@@ -213,14 +213,14 @@ class Supervisor(Modules):
             self._ours.add(str(process.pid))
         return process
 
-    def _in_shadow(self, settings: ModuleSettings, working: Slot) -> ModuleSettings:
-        """Settings of the successor of the module in `working`: in shadow until the handover, with
-        the other one of two node names, and subject to the same stop.
+    def _as_successor(self, settings: ModuleSettings, working: Slot) -> ModuleSettings:
+        """Settings of the successor of the module in `working`, with the other one of two node
+        names, and subject to the same stop.
         """
         kind, report = settings.kind, working.report
         is_named_so = working.settings is not None and working.settings.node_name == kind
         changes: dict[str, object] = {
-            "shadow": True,
+            "is_successor": True,
             "node_name": f"{kind}_b" if is_named_so else kind,
         }
         # newer than the server's count: a module may have seen a stop before the server

@@ -25,7 +25,7 @@ _WARM_UPS, _WARM_UP_PERIOD_S = 30, 0.1
 
 def join(host: ModuleHost) -> None:
     """Add the parameters for a handover and for another acceleration; see `FeatureSpec.on_join`."""
-    handover = TimedHandover(host.settings.shadow, host.status)
+    handover = TimedHandover(host.settings.is_successor, host.status)
     host.filters.append(handover)
     for name, moment_ns in handover.moments.items():
         host.add_parameter(name, moment_ns, partial(handover.set, name), _refusal)
@@ -37,7 +37,7 @@ def _extend(host: ModuleHost, handover: TimedHandover, module: Module) -> None:
         module.filters.add(AccelerationInForce(host, module))
         module.filters.add(InferenceHandover(module, handover))
     module.node.subscribe(Empty, WARM_UP, lambda _: None)
-    if host.settings.shadow:
+    if host.settings.is_successor:
         follow_predecessor(module, handover)
         _open_ports(module)
     _count_listeners(module)

@@ -79,8 +79,11 @@ class Pair:
         self.clock, self.executor = clock, executor
         self.first, self.second = Model(FIRST), Model(SECOND)
         self.values: dict[str, Any] = {}
+        self.events: list[tuple[str, str]] = []
         status: Any = SimpleNamespace(
-            set_value=self.values.__setitem__, changed=threading.Event(), drop=lambda reason: None
+            set_value=self.values.__setitem__,
+            tell=lambda *event: self.events.append(event),
+            drop=lambda reason: None,
         )
         self.policies = FallbackPolicies(
             loaded("remote", self.first, "primary", *roles),

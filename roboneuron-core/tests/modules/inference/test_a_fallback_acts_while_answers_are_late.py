@@ -140,6 +140,8 @@ def test_the_first_acts_again_when_it_has_answered_in_time_for_a_while(
     assert pair.values["fallback.acting"] == "remote"
     assert pair.values["fallback.reason"] == ""
     assert pair.whose() == FIRST
+    assert [event for event, _ in pair.events] == ["fallback", "fallback_over"]
+    assert pair.events[0][1].startswith("local acts: no answer within ")
     assert pair.values["fallback.count"] == 1
 
 

@@ -173,6 +173,8 @@ class LeadInControl(StepFilter):
 
     def _look(self) -> None:
         """Check for a silent lead, and brake the arm of one that is silent or lost."""
+        if self._control.is_holding:
+            self._control.status.set_value("acting", "nobody")
         now_s = time.monotonic()
         found = "lost" if self._is_ending else self._authority.look(now_s)
         # after a silence, braking goes on although rows come again

@@ -45,10 +45,6 @@ _ROUNDING = 1e-6
 """Tolerance for a horizon that is a whole number of periods."""
 FALLBACK = "fallback"
 """Like `sequential`, but by the second policy, see `roboneuron.modules.inference.fallback`."""
-ACTING, REASON, COUNT = "fallback.acting", "fallback.reason", "fallback.count"
-"""Keys of the status with a second policy: the acting policy, the reason why it is not the first,
-and the number of takeovers by the second.
-"""
 
 
 def rows_of(vectors: F64, chunk: ActionChunk, oldest_ns: int, first: int) -> list[Row]:

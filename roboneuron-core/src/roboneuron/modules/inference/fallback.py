@@ -24,10 +24,7 @@ from roboneuron.contract import ActionChunk
 from roboneuron.errors import NotReadyError
 from roboneuron.modules.inference.agreement import check_same_space
 from roboneuron.modules.inference.execution import (
-    ACTING,
-    COUNT,
     FALLBACK,
-    REASON,
     ChunkExecutor,
     Prediction,
 )
@@ -200,7 +197,7 @@ class FallbackPolicies(StepFilter):
         self._took_s: deque[float] = deque([0.0], maxlen=_RECENT)
         self._captured_ns = 0
         self._intervals_s: deque[float] = deque(maxlen=_RECENT)  # from image to image
-        self._tell()
+        self._set_status()
 
     @classmethod
     def beside(
@@ -287,7 +284,10 @@ class FallbackPolicies(StepFilter):
             if chunk is not None:
                 self._turn.give_back()
                 log.warning("%s answers in time again, and acts.", self._names[True])
-                self._tell()
+                self._set_status()
+                self._status.tell(
+                    "fallback_over", f"{self._names[True]} answers in time, and acts again"
+                )
                 return request.prediction, chunk
         if self._request is None:
             # Rows of the second have another period: the first does not get them, and its answer is
@@ -363,10 +363,10 @@ class FallbackPolicies(StepFilter):
     def _take_over(self, reason: str) -> None:
         self._turn.take_over(reason)
         log.warning("%s acts in place of %s: %s", self._names[False], self._names[True], reason)
-        self._tell()
+        self._set_status()
+        self._status.tell("fallback", f"{self._names[False]} acts: {reason}")
 
-    def _tell(self) -> None:
-        self._status.set_value(ACTING, self._names[self._turn.is_first])
-        self._status.set_value(REASON, self._turn.reason)
-        self._status.set_value(COUNT, self._turn.count)
-        self._status.changed.set()
+    def _set_status(self) -> None:
+        self._status.set_value("fallback.acting", self._names[self._turn.is_first])
+        self._status.set_value("fallback.reason", self._turn.reason)
+        self._status.set_value("fallback.count", self._turn.count)

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from roboneuron.server.feature import Feature
 from roboneuron.server.host import Host
 from roboneuron.server.tool import Resource, Tool
-from roboneuron.tools.loop.fallback import FallbackWatch
 from roboneuron.tools.loop.reset import reset_tool
 from roboneuron.tools.loop.status import STATUS_URI, status_resource, status_tool
 from roboneuron.tools.loop.tools import INSTRUCTION, start_tools
@@ -15,8 +14,6 @@ from roboneuron.tools.loop.tools import INSTRUCTION, start_tools
 
 class LoopTools(Feature[None]):
     """start_* for each kind of module, set_instruction, get_status and reset_emergency_stop."""
-
-    _fallback: FallbackWatch | None = None
 
     def tools(self, host: Host) -> Sequence[Tool]:
         """See Feature."""
@@ -37,17 +34,3 @@ class LoopTools(Feature[None]):
     def resources(self, host: Host) -> Sequence[Resource]:
         """See Feature."""
         return [status_resource(host)]
-
-    def start(self, host: Host) -> None:
-        """Start monitoring which policy acts."""
-
-        def tell(what: str, explanation: str) -> None:
-            host.events.fault.tell("inference", what, {"explanation": explanation})
-
-        self._fallback = FallbackWatch(host.modules, tell)
-        self._fallback.start()
-
-    def close(self) -> None:
-        """Stop monitoring; idempotent."""
-        if self._fallback is not None:
-            self._fallback.close()

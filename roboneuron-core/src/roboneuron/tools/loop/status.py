@@ -22,8 +22,6 @@ from roboneuron.tools.loop.results import ModuleStatus, ReasonResult, RobotStatu
 
 STATUS_URI = "roboneuron://status"
 _RECENT_S = 300.0
-_ACTING = "acting"
-"""Metric of control: who moved the arm last."""
 _OVERLOADED = 1.5
 """Runnable processes for each core from which modules are late."""
 
@@ -63,9 +61,6 @@ def status(host: Host, asker: CallContext | None = None, *, details: bool = True
     modules = [ModuleStatus.of(view, details=details) for view in loop.modules.views()]
     if details:
         known["versions"] = _versions()
-        for module in modules:
-            if module.metrics.get(_ACTING) == "policy" and not loop.starts.instruction:
-                del module.metrics[_ACTING]  # of the last command; an idle policy moves nothing
     return StatusResult(
         summary=summary(host, reasons),
         robot=robot,
