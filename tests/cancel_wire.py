@@ -176,7 +176,7 @@ class HttpClient(WireClient):
         return {} if self.has_session else {"Mcp-Method": "tools/call", "Mcp-Name": tool}
 
     def begin(self, tool: str, arguments: Mapping[str, Any]) -> None:
-        """Call a tool, and leave the answer unread."""
+        """Call a tool, and leave the answer unread; the last call is left."""
         params = {"name": tool, "arguments": arguments}
         body = json.dumps(self.message("tools/call", params, is_request=True)).encode()
         where = urlsplit(self._url)
@@ -188,6 +188,7 @@ class HttpClient(WireClient):
         }
         head = "".join(f"{name}: {value}\r\n" for name, value in headers.items())
         self._seen = b""
+        self.leave_call()
         self._call = socket.create_connection((where.hostname, where.port), timeout=60)
         self._call.sendall(f"POST {where.path} HTTP/1.1\r\n{head}\r\n".encode() + body)
 
