@@ -122,7 +122,7 @@ check: $(VENV)/.develop ## lint, format, declared dependencies and types
 	$(BIN)/python tools/dependencies.py
 	$(BIN)/mypy $(SOURCES)
 	$(BIN)/mypy --allow-subclassing-any plugins/lerobot-robot-roboneuron/src
-	MYPYPATH=benchmarks:tools:plugins/rn-robot-fr3/tests:plugins/rn-view/tests:plugins/rn-link/tests:plugins/rn-backend-shared/tests:examples $(BIN)/mypy --cache-dir .mypy_cache/benchmarks \
+	MYPYPATH=benchmarks:tools:plugins/rn-robot-fr3/tests:plugins/rn-view/tests:plugins/rn-link/tests:plugins/rn-backend-openpi/tests:examples $(BIN)/mypy --cache-dir .mypy_cache/benchmarks \
 	  --no-explicit-package-bases --allow-subclassing-any --no-warn-return-any benchmarks tools examples noxfile.py
 
 format: $(VENV)/.develop ## put the code into shape

@@ -5,7 +5,7 @@ directly.
 
 The policy computes nothing, so the differences are those of the boundary: LeRobot's own calls in
 this process, the backend `lerobot` in this process (as an inference module has it), and the backend
-in the model server of rn-backend-shared. Calls are interleaved, with one thread of PyTorch; numbers
+in the model server of rn-backend-openpi. Calls are interleaved, with one thread of PyTorch; numbers
 are medians of the differences within a round.
 """
 
@@ -27,8 +27,8 @@ import numpy as np
 
 from rn_backend_lerobot.backend import LeRobotBackend
 from rn_backend_lerobot.options import LeRobotOptions
-from rn_backend_shared.backend import SharedBackend
-from rn_backend_shared.options import SharedOptions
+from rn_backend_openpi.shared_backend import SharedBackend
+from rn_backend_openpi.shared_options import SharedOptions
 from roboneuron import Frame, JointSample, Observation, Pose
 
 JOINTS = tuple(f"fr3_joint{i}" for i in range(1, 8))

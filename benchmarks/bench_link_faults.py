@@ -35,7 +35,7 @@ from typing import Any
 
 ROOT = Path(__file__).parents[1]
 sys.path.append(str(ROOT / "plugins" / "rn-link" / "tests"))
-sys.path.append(str(ROOT / "plugins" / "rn-backend-shared" / "tests"))
+sys.path.append(str(ROOT / "plugins" / "rn-backend-openpi" / "tests"))
 
 from fault_loop import environment, moving_cell  # noqa: E402
 from link_fault_judge import AGAIN_S, Judge, Witness  # noqa: E402

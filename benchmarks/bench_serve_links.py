@@ -37,16 +37,16 @@ from numpy.typing import NDArray
 
 ROOT = Path(__file__).parents[1]
 sys.path.append(str(ROOT / "plugins" / "rn-link" / "tests"))
-sys.path.append(str(ROOT / "plugins" / "rn-backend-shared" / "tests"))
+sys.path.append(str(ROOT / "plugins" / "rn-backend-openpi" / "tests"))
 
 from link_machines import Machine, impossible  # noqa: E402
 from policy_servers import FarServer, pair  # noqa: E402
 from slow_cable import Link, SlowCable, open_tap  # noqa: E402
 
-from rn_backend_shared.backend import SharedBackend  # noqa: E402
-from rn_backend_shared.images import CODINGS  # noqa: E402
-from rn_backend_shared.options import SharedOptions  # noqa: E402
-from rn_backend_shared.plugin import BACKEND  # noqa: E402
+from rn_backend_openpi.images import CODINGS  # noqa: E402
+from rn_backend_openpi.plugin import SHARED  # noqa: E402
+from rn_backend_openpi.shared_backend import SharedBackend  # noqa: E402
+from rn_backend_openpi.shared_options import SharedOptions  # noqa: E402
 from rn_testing.fakes.backend import make_observation  # noqa: E402
 from roboneuron import NotReadyError, RoboNeuronError  # noqa: E402
 from roboneuron.modules.execution.adaptive import AdaptiveExecutor  # noqa: E402
@@ -90,7 +90,7 @@ def robot(options: str, seconds: float) -> dict[str, Any]:
     executor = AdaptiveExecutor(Abilities(conditions_on_rows=True), fixed=None, bounds=BOUNDS)
     stop = threading.Event()
     told: dict[str, Any] = {"failed": 0, "predictions": 0, "metrics": {}}
-    seen, image = make_observation(BACKEND), camera_image()
+    seen, image = make_observation(SHARED), camera_image()
 
     def predict() -> None:
         while not stop.is_set():

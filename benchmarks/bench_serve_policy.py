@@ -33,11 +33,11 @@ from typing import Any
 
 import numpy as np
 
-from rn_backend_shared.backend import SharedBackend
-from rn_backend_shared.options import SharedOptions
-from rn_backend_shared.plugin import BACKEND
-from rn_backend_shared.serve_command import name_of
-from rn_backend_shared.status_page import ask_status
+from rn_backend_openpi.plugin import SHARED
+from rn_backend_openpi.serve_command import name_of
+from rn_backend_openpi.shared_backend import SharedBackend
+from rn_backend_openpi.shared_options import SharedOptions
+from rn_backend_openpi.status_page import ask_status
 from rn_link.certificates import new_key, read_certificate
 from rn_link.machine import Machine, Peer, read_machine
 from rn_link.tls import tls_context
@@ -194,7 +194,7 @@ def echo(
 
 def seen(side: int) -> Observation:
     """An observation with one image of noise."""
-    observation = make_observation(BACKEND)
+    observation = make_observation(SHARED)
     image = np.random.default_rng(0).integers(0, 256, (side, side, 3), dtype=np.uint8)
     frame = replace(observation.frames["primary"], image=image)
     return replace(observation, frames={"primary": frame})

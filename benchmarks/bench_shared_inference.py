@@ -7,7 +7,7 @@ run.
 The model `tiny` is synthetic (128 layers of 256, random weights, one CPU thread): as with a large
 model on a GPU, a forward pass costs little more for eight observations than for one. `--layers 12
 --width 2048` is a model whose products are limited by the CPU's arithmetic instead. Two servers of
-rn-backend-shared hold it, one with `most = 1`, one with `most = 8`; rounds alternate between them.
+rn-backend-openpi hold it, one with `most = 1`, one with `most = 8`; rounds alternate between them.
 Each client sends the next request after each answer: first without an effective deadline, which
 gives the throughput, then with one of 12 forward passes, at least 100 ms, which counts the misses.
 
@@ -37,9 +37,9 @@ from typing import Any
 
 import numpy as np
 
-from rn_backend_shared.backend import SharedBackend
-from rn_backend_shared.options import SharedOptions
-from rn_backend_shared.plugin import BACKEND
+from rn_backend_openpi.plugin import SHARED
+from rn_backend_openpi.shared_backend import SharedBackend
+from rn_backend_openpi.shared_options import SharedOptions
 from rn_testing.fakes.backend import make_observation
 from rn_testing.fakes.site import PluginSite
 from roboneuron import NotReadyError, Observation
@@ -128,7 +128,7 @@ ASKED = (
 
 def seen(number: int) -> Observation:
     """Observation of a robot, with its own noise."""
-    observation = make_observation(BACKEND, ASKED[number % len(ASKED)])
+    observation = make_observation(SHARED, ASKED[number % len(ASKED)])
     image = np.random.default_rng(number).integers(0, 256, (224, 224, 3), dtype=np.uint8)
     return replace(
         observation, frames={"primary": replace(observation.frames["primary"], image=image)}

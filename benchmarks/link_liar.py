@@ -19,7 +19,7 @@ from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
-sys.path.append(str(Path(__file__).parents[1] / "plugins" / "rn-backend-shared" / "tests"))
+sys.path.append(str(Path(__file__).parents[1] / "plugins" / "rn-backend-openpi" / "tests"))
 
 from middle_man import MiddleMan, Recording, message_of, plain_frame, tls_record
 

@@ -51,7 +51,7 @@ class Cell:
         folder = str(self._folder)
         for process in psutil.process_iter(["cmdline"]):
             line = " ".join(process.info["cmdline"] or ())
-            if "rn_backend_shared" in line and folder in line:
+            if "rn_backend_openpi.server_process" in line and folder in line:
                 return process
         raise AssertionError("no server of this cell runs")
 
@@ -66,7 +66,7 @@ class Cell:
 
 @pytest.fixture
 def cell(tmp_path: Path) -> Iterator[Cell]:
-    pytest.importorskip("rn_backend_shared")
+    pytest.importorskip("rn_backend_openpi")
     more = {
         "backend": "shared",
         "inference": 'fallback = "second"',

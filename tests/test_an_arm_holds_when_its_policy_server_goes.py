@@ -125,7 +125,7 @@ def free_port() -> int:
 
 
 @pytest.mark.ros
-@pytest.mark.exhaustive  # the same as rn-backend-shared shows of its servers
+@pytest.mark.exhaustive  # the same as rn-backend-openpi shows of its servers
 def test_the_arm_rests_while_there_is_no_server_and_moves_on_with_the_next(tmp_path: Path) -> None:
     port = free_port()
     config = parse_config(CONFIG.format(port=port, joints=json.dumps(JOINTS)))

@@ -20,12 +20,12 @@ from PIL import Image as Pillow
 
 pytest.importorskip("rn_perception_camera")
 pytest.importorskip("rn_recorder_runs")
-pytest.importorskip("rn_backend_shared")
+pytest.importorskip("rn_backend_openpi")
 pytest.importorskip("rn_eval")
 
 from sensor_msgs.msg import CompressedImage, Image
 
-from rn_backend_shared.images import decode_image
+from rn_backend_openpi.images import decode_image
 from rn_eval.wire import unpack
 from rn_perception_camera.ros_feed import decompress, to_rgb
 from rn_recorder_runs.images import pixels_of

@@ -25,7 +25,7 @@ COMMANDS = {
     "answering": [*COMMAND[1:], "DESCRIPTOR"],
     "server": [*PROGRAM, "serve", "--config", "CONFIG"],
     "view": [*PROGRAM, "view", "--config", "CONFIG", "--port", "0"],
-    "policy model": ["-m", "rn_backend_shared.server_process", "--stay", "SOCKET"],
+    "policy model": ["-m", "rn_backend_openpi.server_process", "--stay", "SOCKET"],
     "policy front": [*PROGRAM, "serve-policy", "--config", "POLICIES"],
 }
 DEFAULT = ("module", "recorder", "answering", "server")

@@ -19,10 +19,10 @@ import pytest
 from PIL import Image
 from sensor_msgs.msg import CompressedImage
 
-from rn_backend_shared import messages
-from rn_backend_shared import wire as openpi_wire
-from rn_backend_shared.introduction import to_profile
-from rn_backend_shared.session import Welcome
+from rn_backend_openpi import messages
+from rn_backend_openpi import wire as openpi_wire
+from rn_backend_openpi.introduction import to_profile
+from rn_backend_openpi.session import Welcome
 from rn_eval import wire as eval_wire
 from rn_link import rtps
 from rn_link_pairing.pake import PairingError

@@ -21,7 +21,6 @@ view) and a robot.
 OPTIONAL = (
     "rn-eval-libero",
     "rn-backend-openpi",
-    "rn-backend-shared",
     "rn-interfaces",
     "rn-robot-lerobot",
 )

@@ -149,7 +149,7 @@ ENVIRONMENTS = {
         ),
         ours=_plugins(
             *("rn-standard", "rn-simulation", "rn-robot-fr3", "rn-controller-urdf", "rn-vla"),
-            *("rn-runtime-torch", "rn-backend-shared", "rn-eval", "rn-testing"),
+            *("rn-runtime-torch", "rn-backend-openpi", "rn-eval", "rn-testing"),
             "rn-backend-lerobot",
         ),
         python=LEROBOT_PYTHON,

@@ -87,7 +87,7 @@ def test_serve(session: nox.Session) -> None:
     """robots and policy servers: ten commands on two machines, cut cables, many clients (needs
     root)
     """
-    pytest(session, UNGUARDED, "plugins/rn-backend-shared/tests", "-m", "not ros or slow")
+    pytest(session, UNGUARDED, "plugins/rn-backend-openpi/tests", "-m", "not ros or slow")
 
 
 @lane

@@ -116,7 +116,7 @@ def test_garbage_ends_its_own_connection_and_no_other(request_: Any, word: str) 
 
 
 def test_a_frame_that_is_too_large_is_not_read(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rn_backend_shared.listener.MOST_BYTES", 2**20)
+    monkeypatch.setattr("rn_backend_openpi.listener.MOST_BYTES", 2**20)
     with served() as url, open_client(url) as good:
         with open_client(url) as bad:
             with suppress(ConnectionClosed):
@@ -141,7 +141,7 @@ def test_random_bytes_before_the_handshake_disturb_nobody() -> None:
 @pytest.mark.exhaustive
 def test_many_who_say_nothing_keep_nobody_out(monkeypatch: pytest.MonkeyPatch) -> None:
     # so that none of them times out before the others are answered
-    monkeypatch.setattr("rn_backend_shared.listener.HANDSHAKE_S", 120.0)
+    monkeypatch.setattr("rn_backend_openpi.listener.HANDSHAKE_S", 120.0)
     with served(clients=4) as url, ExitStack() as opened:
         good = opened.enter_context(open_client(url))
         address = ("127.0.0.1", int(url.rsplit(":", 1)[1]))

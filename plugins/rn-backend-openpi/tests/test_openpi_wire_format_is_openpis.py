@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
-from rn_backend_shared.wire import MOST_DEPTH, MOST_ITEMS, MOST_TEXT, pack, unpack
+from rn_backend_openpi.wire import MOST_DEPTH, MOST_ITEMS, MOST_TEXT, pack, unpack
 from roboneuron.errors import InvalidInputError
 
 DTYPES = st.sampled_from(["|u1", "<f4", "<f8", "<i8", "|b1", ">f4", "<f2"])
@@ -110,7 +110,7 @@ def test_what_is_just_within_bounds_is_read(monkeypatch: pytest.MonkeyPatch) -> 
     for value in (_nested(MOST_DEPTH), {"x": [0] * MOST_ITEMS}, {"x": "y" * MOST_TEXT}):
         assert unpack(msgpack.packb(value)) == value
     data = msgpack.packb({"x": 1})
-    monkeypatch.setattr("rn_backend_shared.wire.MOST_BYTES", len(data))
+    monkeypatch.setattr("rn_backend_openpi.wire.MOST_BYTES", len(data))
     assert unpack(data) == {"x": 1}
     with pytest.raises(InvalidInputError, match="at most 4 are read"):
         unpack(data + b"0")

@@ -1,4 +1,4 @@
-"""A LeRobot policy in the model server of rn-backend-shared."""
+"""A LeRobot policy in the model server of rn-backend-openpi."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from lerobot_cell import NAMES, RATE_HZ, Load, observe
 
-from rn_backend_shared.backend import SharedBackend
-from rn_backend_shared.options import SharedOptions
-from rn_backend_shared.space import shared_space
+from rn_backend_openpi.shared_backend import SharedBackend
+from rn_backend_openpi.shared_options import SharedOptions
+from rn_backend_openpi.shared_space import shared_space
 from roboneuron import CameraProfile, ConfigurationError, GripperProfile, RobotProfile
 
 pytestmark = pytest.mark.timeout(300)

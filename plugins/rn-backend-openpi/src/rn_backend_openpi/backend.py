@@ -16,10 +16,10 @@ from rn_backend_openpi import metadata
 from rn_backend_openpi.interface import layout_of
 from rn_backend_openpi.key import check_url, read_key, read_key_variable
 from rn_backend_openpi.layout import Layout
+from rn_backend_openpi.messages import RESERVED
 from rn_backend_openpi.metadata import STEP, Told
 from rn_backend_openpi.options import OpenpiOptions
 from rn_backend_openpi.plugin import MOST_ROWS
-from rn_backend_shared.messages import RESERVED
 from roboneuron import (
     ActionChunk,
     ArmState,

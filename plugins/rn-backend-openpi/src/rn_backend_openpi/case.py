@@ -13,12 +13,12 @@ from contextlib import ExitStack, contextmanager
 
 import numpy as np
 
+from rn_backend_openpi.batching import Answer
 from rn_backend_openpi.interface import layout_of
 from rn_backend_openpi.options import OpenpiOptions
 from rn_backend_openpi.plugin import BACKEND
 from rn_backend_openpi.server import LOOPBACK, OpenpiServer, run_server
 from rn_backend_openpi.serving import Model, ServedPolicy
-from rn_backend_shared.batching import Answer
 from rn_testing import BackendCase
 from roboneuron import EE_DELTA, ActionChunk, BackendSpec, ControlSpace, Observation
 

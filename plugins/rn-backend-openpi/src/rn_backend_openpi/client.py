@@ -21,7 +21,7 @@ from websockets.protocol import State
 from websockets.sync.client import connect
 from websockets.sync.connection import Connection
 
-from rn_backend_shared.wire import MOST_BYTES, Value, pack, unpack
+from rn_backend_openpi.wire import MOST_BYTES, Value, pack, unpack
 from roboneuron import ConfigurationError, InvalidInputError, NotReadyError
 
 Reply = dict[object, object] | NDArray[np.generic]

@@ -28,7 +28,7 @@ from rn_backend_openpi.rows import (
     pose_channels,
 )
 from rn_backend_openpi.state import StateCodec, TermState
-from rn_backend_shared.state import WholeState
+from rn_backend_openpi.whole_state import WholeState
 from rn_vla.tcp_actions import ActionLayout
 from rn_vla.tcp_profiles import PROFILES
 from rn_vla.tcp_state import StateLayout

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from rn_backend_openpi.rows import Rows
 from rn_backend_openpi.state import StateCodec
-from rn_backend_shared.wire import Value
+from rn_backend_openpi.wire import Value
 from rn_vla.letterbox import Flip, fit_antialiased, flip_image
 from roboneuron import Frame, InvalidInputError, Observation, UngroundedError
 

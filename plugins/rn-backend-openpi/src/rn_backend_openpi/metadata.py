@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from rn_backend_openpi.layout import Layout, Size
-from rn_backend_shared.wire import Value
+from rn_backend_openpi.wire import Value
 from roboneuron import Channel, ConfigurationError, ControlSpace, InvalidInputError
 
 PROTOCOL = 1

@@ -1,5 +1,5 @@
-"""Descriptors of this package: the backend `openpi`, a client of policy servers, and the command
-`openpi-server`.
+"""Descriptors of this package: the backends `openpi` (policies served by others) and `shared` (a
+model of RoboNeuron's own server), and the commands that run servers.
 """
 
 from __future__ import annotations
@@ -26,23 +26,50 @@ BACKEND = BackendSpec(
     space="rn_backend_openpi.space:openpi_space",
     verbs=PICK_AND_PLACE,
 )
-"""Descriptor of the backend."""
+"""Descriptor of the backend that asks any server."""
+SHARED = BackendSpec(
+    name="shared",
+    summary="One model for several robots: another backend in a server process, on this machine or "
+    "another, that answers in batches.",
+    target="rn_backend_openpi.shared_backend:SharedBackend",
+    config="rn_backend_openpi.shared_options:SharedOptions",
+    optional_cameras=("wrist", "left_wrist", "right_wrist", "side", "top", "front"),
+    needs_state=True,
+    action_space=ActionSpace(horizon=MOST_ROWS, step_s=0.0),
+    conditions_on_rows=True,
+    case="rn_backend_openpi.shared_case:shared_case",
+    space="rn_backend_openpi.shared_space:shared_space",
+    verbs=PICK_AND_PLACE,
+)
+"""Descriptor of the backend of RoboNeuron's own server. The model's own requirements are checked
+when its server answers; a chunk that continues no rows is marked as such.
+"""
 COMMAND = CommandSpec(
     name="openpi-server",
     summary="serve the configured backend over openpi's websocket until Ctrl-C",
     target="rn_backend_openpi.command:OpenpiServerCommand",
     requires=_MODULES,
 )
-"""Descriptor of the command."""
+MODEL_COMMAND = CommandSpec(
+    name="shared-model",
+    summary="serve the model of [plugins.shared] until Ctrl-C",
+    target="rn_backend_openpi.model_command:SharedModelCommand",
+)
+SERVE_COMMAND = CommandSpec(
+    name="serve-policy",
+    summary="serve models to robots on other machines, each in a process of its own",
+    target="rn_backend_openpi.serve_command:ServePolicyCommand",
+)
+"""Descriptors of the commands."""
 
 
 @hookimpl
 def roboneuron_backends() -> Sequence[BackendSpec]:
-    """Register the backend."""
-    return (BACKEND,)
+    """Register the backends."""
+    return (BACKEND, SHARED)
 
 
 @hookimpl
 def roboneuron_commands() -> Sequence[CommandSpec]:
-    """Register the command."""
-    return (COMMAND,)
+    """Register the commands."""
+    return (COMMAND, MODEL_COMMAND, SERVE_COMMAND)

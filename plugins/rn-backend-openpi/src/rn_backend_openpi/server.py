@@ -17,11 +17,11 @@ from http import HTTPStatus
 from websockets.asyncio.server import ServerConnection
 from websockets.http11 import Request
 
+from rn_backend_openpi.conversations import Patience, converse
 from rn_backend_openpi.key import is_loopback, read_key
+from rn_backend_openpi.listener import Listener
 from rn_backend_openpi.server_options import ServerOptions
 from rn_backend_openpi.serving import ServedPolicy
-from rn_backend_shared.conversations import Patience, converse
-from rn_backend_shared.listener import Listener
 from roboneuron import ConfigurationError
 
 LOOPBACK = "127.0.0.1"

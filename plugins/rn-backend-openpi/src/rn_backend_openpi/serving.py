@@ -10,18 +10,18 @@ from typing import Protocol, cast
 import numpy as np
 
 from rn_backend_openpi import metadata
+from rn_backend_openpi.batching import Answer, Batcher, Waiting
+from rn_backend_openpi.conversations import PolicyRequest, Reply
+from rn_backend_openpi.fields import number, table
 from rn_backend_openpi.interface import layout_of
 from rn_backend_openpi.layout import Layout
+from rn_backend_openpi.messages import RESERVED
 from rn_backend_openpi.metadata import STEP
+from rn_backend_openpi.model import SharedModel
 from rn_backend_openpi.options import PLAIN, OpenpiOptions
 from rn_backend_openpi.plugin import BACKEND
-from rn_backend_shared.batching import Answer, Batcher, Waiting
-from rn_backend_shared.conversations import PolicyRequest, Reply
-from rn_backend_shared.fields import number, table
-from rn_backend_shared.messages import RESERVED
-from rn_backend_shared.model import SharedModel
-from rn_backend_shared.options import SharedOptions
-from rn_backend_shared.wire import Value, unpack
+from rn_backend_openpi.shared_options import SharedOptions
+from rn_backend_openpi.wire import Value, unpack
 from roboneuron import (
     EE_DELTA,
     ActionChunk,

@@ -8,8 +8,8 @@ from typing import Protocol
 
 import numpy as np
 
-from rn_backend_shared.state import Measured, checked_unit, vector_of
-from rn_backend_shared.wire import Value
+from rn_backend_openpi.whole_state import Measured, checked_unit, vector_of
+from rn_backend_openpi.wire import Value
 from rn_vla.rotation import DOWN_ROTVEC_RAD, F64, matrix_from_rpy
 from rn_vla.tcp_state import StateLayout, StateTerm
 from roboneuron import (

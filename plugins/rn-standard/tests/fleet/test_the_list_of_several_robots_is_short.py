@@ -22,7 +22,7 @@ MOST_BYTES = 34_000
 14,400 tokens.
 """
 FOUR = """
-disabled_plugins = ["rn-recorder", "rn-eval-libero", "rn-backend-shared"]
+disabled_plugins = ["rn-recorder", "rn-eval-libero", "rn-backend-openpi"]
 [robots.left]
 robot = "fr3"
 [robots.left.inference]

@@ -1,0 +1,350 @@
+"""Coding of images: chosen by the capacity of the link, and checked by the effect on the
+actions.
+"""
+
+from __future__ import annotations
+
+import logging
+import statistics
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from types import MappingProxyType
+
+import numpy as np
+
+from rn_backend_openpi.images import (
+    CODINGS,
+    CROPPED,
+    Coding,
+    Rectangle,
+    Size,
+    crop,
+    encode_image,
+    fit,
+    image_bytes,
+)
+from rn_backend_openpi.messages import RESERVED, Document, from_observation, image_key
+from rn_backend_openpi.shared_options import SharedOptions
+from roboneuron import (
+    ActionChunk,
+    ConfigurationError,
+    Frame,
+    NotReadyError,
+    Observation,
+    RoboNeuronError,
+)
+
+log = logging.getLogger(__name__)
+Ask = Callable[[Document, float], ActionChunk]
+"""Sends an observation and returns the answer until a deadline (monotonic [s])."""
+PARITY_S = 5.0
+"""Longest wait for each answer of a parity check; nothing is executed meanwhile."""
+_SAMPLES = 5
+_AGREEING = 5
+"""Number of consecutive equal choices before the coding changes."""
+_PROBE = 100
+"""Number of observations after which one is sent in the next larger coding, if the link may support
+that: old measurements may no longer hold.
+"""
+_LINK = "shared.link_ms"
+_NONE: Mapping[str, Rectangle] = MappingProxyType({})
+
+
+class LinkMeter:
+    """Measures the cost of images on a link, and chooses the coding. Times are in seconds.
+
+    Each coding is measured separately: a small image takes one round trip on any link, and gives no
+    information about a larger one.
+    """
+
+    def __init__(self, share: float) -> None:
+        self._share = share
+        self._base_s: float | None = None
+        self._sizes: dict[Coding, int] = {}
+        self._coding_s: dict[Coding, float] = {}
+        self._link_s: dict[Coding, deque[float]] = {}
+        self.current: Coding = "raw"
+        self._wanted: Coding = "raw"
+        self._agreeing = 0
+
+    def note_base(self, link_s: float) -> None:
+        """Note a round trip of almost no data."""
+        self._base_s = link_s if self._base_s is None else min(self._base_s, link_s)
+
+    def note(self, coding: Coding, size: int, coding_s: float, link_s: float) -> None:
+        """Note an answered observation.
+
+        Args:
+            coding: coding of its images.
+            size: size of its images in bytes.
+            coding_s: time taken by coding.
+            link_s: its time on the link, both ways.
+        """
+        self.note_base(link_s)
+        self._sizes[coding], self._coding_s[coding] = size, coding_s
+        self._link_s.setdefault(coding, deque(maxlen=_SAMPLES)).append(link_s)
+
+    def assume(self, coding: Coding, size: int) -> None:
+        """Set the size of images in a coding that takes no time."""
+        self._sizes.setdefault(coding, size)
+        self._coding_s.setdefault(coding, 0.0)
+
+    def cost_s(self, coding: Coding) -> float | None:
+        """Time taken by images in a coding, beyond a round trip of almost no data; None if unknown.
+        That of an unmeasured coding is scaled by size from the next smaller one.
+        """
+        if coding not in self._sizes:
+            return None
+        if coding in self._link_s:
+            return self._coding_s[coding] + self._transfer_s(coding)
+        for smaller in CODINGS[CODINGS.index(coding) + 1 :]:
+            if smaller in self._link_s:
+                return self._coding_s[coding] + self._scaled_s(coding, smaller)
+        return None
+
+    def _transfer_s(self, coding: Coding) -> float:
+        assert self._base_s is not None
+        return max(statistics.median(self._link_s[coding]) - self._base_s, 0.0)
+
+    def _scaled_s(self, coding: Coding, measured: Coding) -> float:
+        return self._transfer_s(measured) * self._sizes[coding] / self._sizes[measured]
+
+    def choose(self, period_s: float, allowed: tuple[Coding, ...]) -> Coding:
+        """The coding to use from now on: the first one within its share of a period, otherwise the
+        cheapest.
+        """
+        known: dict[Coding, float | None] = {coding: self.cost_s(coding) for coding in allowed}
+        costs = {coding: cost for coding, cost in known.items() if cost is not None}
+        most_s = self._share * period_s
+        fitting = [coding for coding, cost in costs.items() if cost <= most_s]
+        least = min(costs, key=lambda coding: costs[coding], default=allowed[0])
+        wanted = fitting[0] if fitting else least
+        self._agreeing = self._agreeing + 1 if wanted == self._wanted else 1
+        self._wanted = wanted
+        if self.current not in allowed or self._agreeing >= _AGREEING:
+            self.current = wanted
+        return self.current
+
+    def settle(self, period_s: float, allowed: tuple[Coding, ...]) -> None:
+        """Choose immediately."""
+        for _ in range(_AGREEING):
+            self.choose(period_s, allowed)
+
+    def probe(self, allowed: tuple[Coding, ...], most_s: float) -> Coding:
+        """The next larger coding than the current one, if its images are estimated to take at most
+        this time; deletes its older measurements.
+        """
+        larger = [one for one in CODINGS[: CODINGS.index(self.current)] if one in allowed]
+        if not larger or larger[-1] not in self._sizes or self.current not in self._link_s:
+            return self.current
+        coding = larger[-1]
+        if self._scaled_s(coding, self.current) > most_s:
+            return self.current
+        self._link_s.pop(coding, None)
+        return coding
+
+
+class Coder:
+    """Sends images to a server, shrunk and coded according to the options.
+
+    Args:
+        options: options of the backend.
+        sizes: sizes to which the model shrinks images, by role or by name of the camera.
+        base_s: a round trip of almost no data [s].
+        crops: the part of a whole image that the server uses, by role.
+
+    Raises:
+        ConfigurationError: the options crop differently from the server.
+    """
+
+    def __init__(
+        self,
+        options: SharedOptions,
+        sizes: Mapping[str, Size],
+        base_s: float,
+        *,
+        crops: Mapping[str, Rectangle] = _NONE,
+    ) -> None:
+        self._options = options
+        for role in options.crop.keys() & crops.keys():
+            if options.crop[role] != crops[role]:
+                raise ConfigurationError(
+                    f"The server crops images of {role!r} to {list(crops[role])}, `crop` of "
+                    f"[plugins.shared] says {list(options.crop[role])}.",
+                    hint="Leave it out: a robot uses the server's crop.",
+                )
+        self._told_crops = dict(crops)
+        self._crops = {**options.crop, **crops}
+        self._sizes = dict(sizes)
+        self._meter = LinkMeter(options.link_share)
+        self._meter.note_base(base_s)
+        self._allowed: tuple[Coding, ...] = (
+            CODINGS if options.coding == "auto" else (options.coding,)
+        )
+        self._meter.current = self._allowed[0]
+        self._parity: dict[str, float] | None = None
+        self._count = 0
+
+    @property
+    def coding(self) -> Coding:
+        """Current coding of images."""
+        return self._meter.current
+
+    def ask(self, observation: Observation, ask: Ask, deadline_s: float) -> ActionChunk:
+        """Request the answer to an observation. The first observation is also sent with unchanged
+        images if coding or size may affect the answer.
+
+        Raises:
+            ConfigurationError: the change of actions exceeds the options' limit, or the model keeps
+                a history of observations.
+            RoboNeuronError: as `ask`.
+        """
+        fitted = self._fitted(observation)
+        if self._parity is None:
+            self._parity = self._check(observation, fitted, ask)
+            deadline_s = time.monotonic() + self._options.timeout_s
+        coding = self._next()
+        chunk = self._timed(fitted, coding, ask, deadline_s, is_fitted=True)
+        if self._options.coding == "auto":
+            self._choose(chunk)
+        return chunk
+
+    def _next(self) -> Coding:
+        self._count += 1
+        if self._options.coding == "auto" and self._count % _PROBE == 0:
+            return self._meter.probe(self._allowed, self._options.timeout_s / 4)
+        return self.coding
+
+    def _choose(self, chunk: ActionChunk) -> None:
+        before = self.coding
+        now = self._meter.choose(chunk.step_s, self._allowed)
+        if now != before:
+            log.info("Images are sent as %s from now on, before as %s.", now, before)
+
+    def _fitted(self, observation: Observation) -> Observation:
+        own = self._options.image_size
+        frames = {}
+        for role, frame in observation.frames.items():
+            size = self._declared(role, frame) or own
+            if role in self._crops:
+                frame = crop(frame, self._crops[role])
+            frames[role] = frame if size is None else fit(frame, size)
+        return replace(observation, frames=frames)
+
+    def _declared(self, role: str, frame: Frame) -> Size | None:
+        return self._sizes.get(role, self._sizes.get(frame.camera))
+
+    def _is_own(self, role: str, frame: Frame) -> bool:
+        """True if this robot's configuration changes the image beyond the server's instructions."""
+        crops = role in self._crops and role not in self._told_crops
+        return crops or (
+            self._options.image_size is not None and self._declared(role, frame) is None
+        )
+
+    def _timed(
+        self,
+        observation: Observation,
+        coding: Coding,
+        ask: Ask,
+        deadline_s: float,
+        *,
+        is_fitted: bool,
+    ) -> ActionChunk:
+        begun_s = time.monotonic()
+        document, size = from_observation(observation), 0
+        for role, frame in observation.frames.items():
+            coded = encode_image(frame.image, coding, self._options.quality)
+            document[image_key(role)] = coded
+            size += image_bytes(coded)
+            if is_fitted and role in self._crops:
+                document[RESERVED]["frames"][role][CROPPED] = True
+        coding_s = time.monotonic() - begun_s
+        chunk = ask(document, deadline_s)
+        self._meter.note(coding, size, coding_s, chunk.metrics[_LINK] / 1e3)
+        own = {
+            "shared.coding_ms": coding_s * 1e3,
+            "shared.coding": float(CODINGS.index(coding)),
+            "shared.image_kb": size / 1e3,
+            **(self._parity or {}),
+        }
+        return replace(chunk, metrics={**chunk.metrics, **own})
+
+    def _check(self, whole: Observation, fitted: Observation, ask: Ask) -> dict[str, float]:
+        """Change of actions by coding and shrinking, beyond their variation without it."""
+        options = self._options
+        changes = any(
+            self._is_own(role, frame) and frame.image.shape != fitted.frames[role].image.shape
+            for role, frame in whole.frames.items()
+        )
+        loses = "jpeg" in self._allowed
+        if not loses and not changes:
+            return {}
+
+        def asked(observation: Observation, coding: Coding) -> ActionChunk:
+            return self._timed(
+                observation,
+                coding,
+                ask,
+                time.monotonic() + PARITY_S,
+                is_fitted=observation is fitted,
+            )
+
+        first = asked(whole if changes else fitted, "png")
+        try:
+            # twice, to exclude the model's own random variation
+            as_is = [first, asked(whole if changes else fitted, "png")]
+            coded = asked(fitted, "jpeg" if loses else "png")
+        except NotReadyError:
+            raise
+        except RoboNeuronError as error:
+            raise _remembers(error) from error
+        self._meter.assume("raw", sum(frame.image.nbytes for frame in fitted.frames.values()))
+        itself, moved = distances(*as_is), distances(as_is[0], coded)
+        beyond = {unit: max(moved[unit] - itself[unit], 0.0) for unit in moved}
+        log.info(
+            "Coded images change actions by %.2g m and %.2g rad; repeated ones by %.2g m and %.2g "
+            "rad.",
+            *(moved["m"], moved["rad"], itself["m"], itself["rad"]),
+        )
+        limits = {"m": options.parity_m, "rad": options.parity_rad}
+        excess = [unit for unit in limits if beyond[unit] > limits[unit]]
+        if excess and (changes or options.coding == "jpeg"):
+            unit = excess[0]
+            raise ConfigurationError(
+                f"Actions change by {beyond[unit]:.3g} {unit} when images are coded as configured; "
+                f"parity_{unit} = {limits[unit]:g} are allowed.",
+                hint="Raise quality or image_size, look at crop, use coding = 'png', or allow "
+                "more.",
+            )
+        if excess:
+            log.warning("JPEG is not used: it changes actions by more than is allowed.")
+            self._allowed = CODINGS[:2]
+        if options.coding == "auto":
+            self._meter.settle(coded.step_s, self._allowed)
+            log.info("Images are sent as %s.", self.coding)
+        return {f"shared.parity_{unit}": beyond[unit] for unit in limits}
+
+
+def _remembers(error: RoboNeuronError) -> ConfigurationError:
+    return ConfigurationError(
+        "The model answered an observation and refused the same one when it was repeated to "
+        f"measure the effect of coded images: it keeps a history of observations. Error: {error}",
+        hint="Such a model must not be served with stateless = true: it mixes robots up. For one "
+        "robot alone set coding = 'raw' or 'png' in [plugins.shared], which repeats no request.",
+    )
+
+
+def distances(one: ActionChunk, other: ActionChunk) -> dict[str, float]:
+    """Largest difference of two chunks by unit, [m] and [rad] and their rates; infinite for chunks
+    that cannot be compared.
+    """
+    if one.actions.shape != other.actions.shape or one.space != other.space:
+        return {"m": np.inf, "rad": np.inf}
+    apart = np.abs(one.actions - other.actions).max(axis=0)
+    units = [channel.unit.removesuffix("/s") for channel in one.space.channels]
+    return {
+        unit: max((float(d) for d, u in zip(apart, units, strict=True) if u == unit), default=0.0)
+        for unit in ("m", "rad")
+    }

@@ -1,0 +1,169 @@
+"""Websocket connections of a server, with bounds on time, size and number."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import os
+import socket
+import ssl
+from collections.abc import Awaitable, Callable, Mapping
+from contextlib import suppress
+from http import HTTPStatus
+from typing import Any, ClassVar
+
+from websockets.asyncio.server import Server, ServerConnection, serve, unix_serve
+from websockets.exceptions import ConnectionClosed
+from websockets.http11 import Request, Response
+
+from rn_backend_openpi.security import tune
+from rn_backend_openpi.wire import MOST_BYTES
+
+HANDSHAKE_S = 5.0
+"""Longest opening handshake, TLS included."""
+_STRANGERS = 64
+"""Connections beyond the clients that may be in their handshake at the same time."""
+_CLOSE_S = 1.0
+_SILENT_S = 5.0
+_BACKLOG = 1024
+Answer = tuple[HTTPStatus, str]
+Handle = Callable[[ServerConnection], Awaitable[None]]
+Admit = Callable[[ServerConnection, Request], Answer | None]
+"""Refuses a client; None accepts it."""
+Page = Callable[[], Answer]
+log = logging.getLogger(__name__)
+
+
+class Listener:
+    """Accepts the clients of a server; used on its event loop.
+
+    Args:
+        handle: serves one client until it disconnects.
+        most: largest number of clients; further ones are refused.
+        admit: refuses clients.
+        pages: answers to plain requests of HTTP, by path.
+
+    Attributes:
+        clients: the admitted connections, oldest first.
+        refused: number of connections that ended before they were admitted, pages not counted.
+    """
+
+    def __init__(
+        self,
+        handle: Handle,
+        *,
+        most: int,
+        admit: Admit = lambda connection, request: None,
+        pages: Mapping[str, Page],
+    ) -> None:
+        self._handle, self._most, self._admit, self._pages = handle, most, admit, pages
+        self._unknown: dict[CountedConnection, None] = {}
+        self.clients: dict[CountedConnection, None] = {}
+        self.refused = 0
+
+    def _options(self) -> dict[str, Any]:
+        # websockets logs a traceback for each failed handshake, which could fill a disk
+        strangers = logging.getLogger(f"{__name__}.strangers")
+        strangers.setLevel(logging.CRITICAL)
+        return {
+            "process_request": self._process,
+            "create_connection": type("_Counted", (CountedConnection,), {"owner": self}),
+            "compression": None,
+            "max_size": MOST_BYTES,
+            "max_queue": 1,
+            "open_timeout": HANDSHAKE_S,
+            "close_timeout": _CLOSE_S,
+            # robots read only while they wait for an answer; TCP finds those that are gone
+            "ping_interval": None,
+            "server_header": None,
+            "logger": strangers,
+        }
+
+    async def open(self, listening: socket.socket, tls: ssl.SSLContext | None) -> Server:
+        """Accept connections of a listening socket, which the server owns from now on."""
+        timeout_s = None if tls is None else HANDSHAKE_S
+        return await serve(
+            self._handle,
+            sock=listening,
+            ssl=tls,
+            ssl_handshake_timeout=timeout_s,
+            **self._options(),
+        )
+
+    async def open_local(self, path: str) -> Server:
+        """Accept connections at the path of a Unix socket. Raises OSError."""
+        with suppress(FileNotFoundError):
+            os.unlink(path)
+        return await unix_serve(self._handle, path, backlog=_BACKLOG, **self._options())
+
+    def entered(self, connection: CountedConnection) -> None:
+        """Register a new connection. If too many are in their handshake, abort the oldest of them:
+        that of a real client takes milliseconds.
+        """
+        if len(self._unknown) >= _STRANGERS:
+            oldest = next(iter(self._unknown))
+            self.left(oldest)
+            oldest.transport.abort()
+        self._unknown[connection] = None
+
+    def left(self, connection: CountedConnection) -> None:
+        """Remove a closed connection."""
+        self.clients.pop(connection, None)
+        if connection in self._unknown:
+            del self._unknown[connection]
+            self.refused += not connection.is_page
+
+    async def _process(self, connection: ServerConnection, request: Request) -> Response | None:
+        assert isinstance(connection, CountedConnection)
+        page = self._pages.get(request.path)
+        if page is not None:
+            connection.is_page = True
+            return connection.respond(*await asyncio.to_thread(page))
+        refusal = self._admit(connection, request)
+        if refusal is None and len(self.clients) >= self._most:
+            text = f"{len(self.clients)} clients are connected; no more are taken."
+            refusal = HTTPStatus.SERVICE_UNAVAILABLE, text
+        if refusal is not None:
+            return connection.respond(*refusal)
+        self._unknown.pop(connection, None)
+        self.clients[connection] = None
+        return None
+
+
+class CountedConnection(ServerConnection):
+    """A connection that is counted from the start of its handshake.
+
+    Attributes:
+        owner: the listener; each has a subclass of its own.
+        is_page: it asks for a page.
+    """
+
+    owner: ClassVar[Listener]
+    is_page = False
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        self.owner.entered(self)
+        plain = transport.get_extra_info("socket")
+        if plain is not None and plain.family != socket.AF_UNIX:
+            tune(plain, _SILENT_S)
+        super().connection_made(transport)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self.owner.left(self)
+        super().connection_lost(exc)
+
+
+async def send(connection: ServerConnection, data: bytes | str, timeout_s: float) -> None:
+    """Send one message; a client that does not read is disconnected, so it blocks nobody.
+
+    Raises:
+        ConnectionClosed: the client is disconnected.
+    """
+    try:
+        async with asyncio.timeout(timeout_s):
+            await connection.send(data)
+    except TimeoutError:
+        log.warning("%s does not read; it is dropped.", connection.remote_address)
+        connection.transport.abort()
+        await connection.wait_closed()
+        raise ConnectionClosed(None, None) from None

@@ -1,0 +1,350 @@
+"""The server of one model: websockets at a Unix socket, and one thread for the model."""
+
+from __future__ import annotations
+
+import asyncio
+import fcntl
+import json
+import logging
+import os
+import secrets
+import threading
+import time
+from collections import OrderedDict
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import replace
+from http import HTTPStatus
+from pathlib import Path
+
+from websockets.asyncio.server import ServerConnection
+
+from rn_backend_openpi import messages
+from rn_backend_openpi.batching import Answer, Batcher, Waiting
+from rn_backend_openpi.conversations import Patience, PolicyRequest, Reply, converse
+from rn_backend_openpi.fields import field, integer, number, table
+from rn_backend_openpi.images import CROPPED, crop
+from rn_backend_openpi.introduction import to_profile
+from rn_backend_openpi.listener import Listener
+from rn_backend_openpi.messages import RESERVED, Document
+from rn_backend_openpi.model import SharedModel
+from rn_backend_openpi.session import FAILED, LOADING, PROTOCOL, READY
+from rn_backend_openpi.shared_options import SharedOptions
+from rn_backend_openpi.statistics import Statistics
+from rn_backend_openpi.status_page import STATUS
+from rn_backend_openpi.wire import unpack
+from roboneuron import (
+    ActionChunk,
+    ForeignDataError,
+    InvalidInputError,
+    NotReadyError,
+    Observation,
+    PluginError,
+    RoboNeuronError,
+)
+from roboneuron.command import HangWatch
+
+log = logging.getLogger(__name__)
+MOST_LEFT_S = 3600.0
+_PATIENCE = Patience(send_s=0.5)
+_FAILED_S = 3.0
+"""Time for which a server that could not load reports this before it ends."""
+_LOOK_S = 0.1
+_MOST_HELD = 8
+"""Number of chunk contexts kept for a robot: of the running chunk, and of answers in transit."""
+_MOST_ROBOTS = 128
+_NUMBER_BITS = 62
+"""Bits of the random number of a connection's first request."""
+_START_S = 10.0
+
+
+class SharedModelServer:
+    """Serves one model to all robots that connect.
+
+    Args:
+        options: options of the model.
+        path: path of the socket.
+        idle_s: time without a robot after which the server ends; None for never.
+    """
+
+    def __init__(self, options: SharedOptions, path: Path, idle_s: float | None) -> None:
+        self._options = options
+        self._path = path
+        self._idle_s = idle_s
+        self._model = SharedModel(options)
+        self._batcher: Batcher | None = None
+        self._listener = Listener(
+            self._handle, most=_MOST_ROBOTS, pages={STATUS: self._status_page}
+        )
+        self._end = threading.Event()
+        self._state = LOADING
+        self._image_sizes: Mapping[str, tuple[int, int]] = {}
+        self._failure: RoboNeuronError | None = None
+        self._used_s = time.monotonic()
+        self._statistics = Statistics()
+
+    def run(self, watch: HangWatch | None = None) -> int:
+        """Serve until `stop`, or idle; returns the exit status. Only one server serves a path at a
+        time: a second one ends at once. `watch` is that of this process.
+        """
+        with self._path.with_suffix(".lock").open("a") as lock:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                return 0
+            with self._listening():
+                return self._serve(watch or HangWatch())
+
+    def stop(self) -> None:
+        """Request the end; callable from a signal handler."""
+        self._end.set()
+
+    def _serve(self, watch: HangWatch) -> int:
+        try:
+            with watch.loading():
+                self._model.load()
+        except RoboNeuronError as error:
+            return self._fail(error)
+        except (
+            Exception
+        ) as error:  # the border to the model: robots are notified before the process ends
+            log.exception("The model cannot be loaded.")
+            return self._fail(NotReadyError(f"The shared model cannot be loaded: {error!r}."))
+        options = self._options
+        batcher = self._batcher = Batcher(
+            self._statistics.timed(self._model.answer),
+            most=self._model.most,
+            waiting=options.waiting,
+            linger_s=options.linger_s,
+            clients=lambda: len(self._listener.clients),
+        )
+        batcher.start()
+        self._image_sizes = self._model.image_sizes
+        self._state = READY
+        log.info("The model %s is ready.", self._options.backend)
+        self._used_s = time.monotonic()
+        while not self._end.wait(_LOOK_S):
+            now_s = time.monotonic()
+            if self._listener.clients:
+                self._used_s = now_s
+            elif self._idle_s is not None and now_s - self._used_s > self._idle_s:
+                log.info("No robot for %g s.", self._idle_s)
+                break
+        batcher.close()
+        self._model.close()
+        return 0
+
+    def _fail(self, error: RoboNeuronError) -> int:
+        log.error("%s", error)
+        self._failure, self._state = error, FAILED
+        self._end.wait(_FAILED_S)
+        return 1
+
+    @contextmanager
+    def _listening(self) -> Iterator[None]:
+        """Accept connections, on a thread with the event loop."""
+        is_open, loop, until = threading.Event(), asyncio.new_event_loop(), asyncio.Event()
+
+        async def listen() -> None:
+            # renamed once it listens, so that a robot that finds the socket is not refused
+            unready = self._path.with_suffix(".new")
+            async with await self._listener.open_local(str(unready)):
+                unready.replace(self._path)
+                is_open.set()
+                await until.wait()
+                self._path.unlink(missing_ok=True)
+
+        def run() -> None:
+            with asyncio.Runner(loop_factory=lambda: loop) as runner:
+                runner.run(listen())
+
+        thread = threading.Thread(target=run, name="connections", daemon=True)
+        thread.start()
+        if not is_open.wait(_START_S):
+            raise NotReadyError(f"The socket {self._path} cannot be made.")
+        try:
+            yield
+        finally:
+            loop.call_soon_threadsafe(until.set)
+            thread.join(_START_S)
+
+    async def _handle(self, connection: ServerConnection) -> None:
+        await converse(connection, _ModelConversation(self), _PATIENCE)
+
+    def metadata(self) -> Document:
+        """Description of the model: the first message to a robot, which repeats the connection
+        while the model loads.
+        """
+        told: Document = {"protocol": PROTOCOL, "state": self._state, "pid": os.getpid()}
+        if self._failure is not None:
+            failure: Document = messages.from_answer(self._failure)[RESERVED]
+            return told | failure
+        if self._state == READY:
+            spec = self._model.spec
+            told["cameras"] = list(spec.cameras)
+            told["optional_cameras"] = list(spec.optional_cameras)
+            told["horizon"] = spec.action_space.horizon
+            told["step_s"] = spec.action_space.step_s
+            told["most_committed"] = spec.max_committed_rows
+            told["takes_state"] = spec.takes_predicted_state
+            told["continues"] = self._model.continues_rows
+            told["crops"] = {role: list(one) for role, one in self._options.crop.items()}
+            told["image_sizes"] = {role: list(size) for role, size in self._image_sizes.items()}
+        return told
+
+    def space_on(self, robot: object) -> Document:
+        """The control space of the model's chunks on an introduced robot (see `from_profile`), or
+        why it cannot move it. Raises ForeignDataError.
+        """
+        if self._state != READY:
+            return {}
+        try:
+            return {"space": messages.from_space(self._model.space_on(to_profile(robot)))}
+        except ForeignDataError:  # no introduction; a refusal is for a model that does not fit
+            raise
+        except RoboNeuronError as error:
+            return {"refusal": messages.from_answer(error)[RESERVED]}
+
+    def _status_page(self) -> tuple[HTTPStatus, str]:
+        return HTTPStatus.OK, json.dumps(self.status())
+
+    def status(self) -> Document:
+        """Statistics of this server."""
+        own: Document = {
+            "state": self._state,
+            "pid": os.getpid(),
+            "clients": len(self._listener.clients),
+            "waiting": 0 if self._batcher is None else self._batcher.waiting,
+            **self._statistics.values(),
+        }
+        if self._failure is not None:
+            own |= messages.from_answer(self._failure)[RESERVED]
+        return own
+
+    def cropped(self, observation: Observation, request: Document) -> Observation:
+        """Crop the images that the robot has not cropped.
+
+        Args:
+            observation: the received observation.
+            request: the message.
+
+        Raises:
+            InvalidInputError: the crop exceeds an image.
+        """
+        told = request.get(RESERVED, {}).get("frames", {})
+        frames = dict(observation.frames)
+        for role, rectangle in self._options.crop.items():
+            if role in frames and not told.get(role, {}).get(CROPPED, False):
+                frames[role] = crop(frames[role], rectangle)
+        return replace(observation, frames=frames)
+
+    def submit(self, waiting: Waiting) -> None:
+        """See `Batcher`."""
+        if self._batcher is None:
+            raise NotReadyError("The shared model is being loaded.")
+        self._batcher.submit(waiting)
+
+    def note(self, answer: Answer) -> None:
+        """Count an answer."""
+        self._statistics.note(answer)
+
+
+class _ModelConversation:
+    """One robot's conversation; see `Conversation`.
+
+    Args:
+        server: the model's server.
+    """
+
+    def __init__(self, server: SharedModelServer) -> None:
+        self._server = server
+        self._session = secrets.randbits(_NUMBER_BITS)
+        self._last = secrets.randbits(_NUMBER_BITS)
+        self._held: OrderedDict[int, object] = OrderedDict()
+
+    def first(self) -> Reply:
+        return {RESERVED: {**self._server.metadata(), "number": self._last}}
+
+    async def read(self, data: str | bytes) -> PolicyRequest | Reply:
+        if isinstance(data, str):
+            raise InvalidInputError("A request is a binary frame of msgpack, this one is text.")
+        request = table(unpack(data), "a request")
+        if RESERVED not in request:
+            return PolicyRequest(observation=await self._observation(request), left_s=MOST_LEFT_S)
+        own = table(request[RESERVED], RESERVED)
+        found, clock_ns = (integer(field(own, name), name) for name in ("number", "clock_ns"))
+        if found != self._last + 1:
+            raise ForeignDataError(
+                f"request {found} was replayed, lost or from another connection: "
+                f"{self._last + 1} comes next"
+            )
+        self._last = found
+        if "robot" in own:
+            told = {**self._server.metadata(), **self._server.space_on(own["robot"])}
+            return {RESERVED: {**told, "number": found, "clock_ns": clock_ns}}
+        try:
+            left_s = number(field(own, "left_s"), "left_s", 0.0, MOST_LEFT_S)
+            observation = await self._observation(request)
+        except ForeignDataError as error:
+            refusal = InvalidInputError(f"The observation cannot be read: {error}.")
+            return self._told(refusal, found, clock_ns)
+        except RoboNeuronError as error:
+            return self._told(error, found, clock_ns)
+        return PolicyRequest(
+            observation=observation, left_s=left_s, number=found, clock_ns=clock_ns
+        )
+
+    async def _observation(self, request: Document) -> Observation:
+        if messages.has_coded_images(request):  # their decoding must not hold up other connections
+            observation = await asyncio.to_thread(messages.to_observation, request, self._recall)
+        else:
+            observation = messages.to_observation(request, self._recall)
+        return self._server.cropped(observation, request)
+
+    def submit(self, request: PolicyRequest, tell: Callable[[Answer], object]) -> None:
+        def hold_and_tell(answer: Answer) -> None:
+            # on the model's thread, so that a context exists before the robot can name it
+            if request.number is not None and isinstance(answer, ActionChunk):
+                self._hold(answer, request.number)
+            tell(answer)
+
+        deadline_s = time.monotonic() + request.left_s
+        self._server.submit(
+            Waiting(
+                observation=request.observation,
+                deadline_s=deadline_s,
+                tell=hold_and_tell,
+                connection=self,
+            )
+        )
+
+    def reply(self, answer: Answer, request: PolicyRequest) -> Reply:
+        if request.number is not None:
+            return self._told(answer, request.number, request.clock_ns)
+        self._server.note(answer)
+        if isinstance(answer, RoboNeuronError):
+            raise answer
+        return messages.from_answer(answer)
+
+    def _told(self, answer: Answer, found: int, clock_ns: int) -> Reply:
+        """An answer with the number of its request."""
+        self._server.note(answer)
+        held = messages.HeldContext(self._session, found) if found in self._held else None
+        try:
+            told = messages.from_answer(answer, held)
+        except (TypeError, ValueError, OverflowError) as error:
+            refusal = PluginError(f"The answer of the shared model cannot be sent: {error}.")
+            told = messages.from_answer(refusal)
+        return {**told, RESERVED: {**told[RESERVED], "number": found, "clock_ns": clock_ns}}
+
+    def _hold(self, chunk: ActionChunk, found: int) -> None:
+        """Store the context of a chunk."""
+        if chunk.context is None:
+            return
+        self._held[found] = chunk.context
+        while len(self._held) > _MOST_HELD:
+            self._held.popitem(last=False)
+
+    def _recall(self, named: messages.HeldContext) -> object:
+        """A stored context; None for that of another connection."""
+        return self._held.get(named.number) if named.session == self._session else None

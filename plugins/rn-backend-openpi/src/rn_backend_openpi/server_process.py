@@ -1,0 +1,90 @@
+"""The process that holds a model: `python -m rn_backend_openpi.server_process`."""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import sys
+import threading
+from pathlib import Path
+from typing import IO
+
+from rn_backend_openpi.model_server import SharedModelServer
+from rn_backend_openpi.shared_options import SharedOptions
+from roboneuron.command import HangWatch
+
+log = logging.getLogger(__name__)
+STAY = "--stay"
+
+
+def serve(options: SharedOptions, path: Path, idle_s: float | None) -> int:
+    """Run a server in this process until SIGTERM or SIGINT."""
+    server = SharedModelServer(options, path, idle_s)
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: server.stop())
+    return server.run(_watch())
+
+
+def main(source: IO[str] = sys.stdin, arguments: list[str] = sys.argv[1:]) -> int:
+    """Run a server in the background: options as JSON in the first line of stdin, path of the
+    socket as argument.
+
+    The started process returns at once; the server continues in a new session. With `--stay` the
+    process itself serves, until stdin ends.
+    """
+    options, path = SharedOptions.model_validate_json(source.readline()), Path(arguments[-1])
+    if arguments[0] == STAY:
+        return _stay(options, path, source)
+    if os.fork():
+        return 0
+    os.setsid()
+    with open(os.devnull) as nothing, path.with_suffix(".log").open("a") as output:
+        os.dup2(nothing.fileno(), 0)
+        for number in (1, 2):
+            os.dup2(output.fileno(), number)
+    _log()
+    code = 1
+    try:
+        code = serve(options, path, options.idle_s)
+    except Exception:  # the process would end silently
+        log.exception("The server cannot continue.")
+    finally:
+        logging.shutdown()
+        # threads of robots may still be running, but hold nothing to be saved
+        os._exit(code)
+
+
+def _stay(options: SharedOptions, path: Path, source: IO[str]) -> int:
+    _log()
+    server = SharedModelServer(options, path, None)
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: server.stop())
+
+    def watch() -> None:
+        source.read()  # the other end closes with the parent process
+        server.stop()
+
+    threading.Thread(target=watch, name="parent", daemon=True).start()
+    code = 1
+    try:
+        code = server.run(_watch())
+    except Exception:  # the process would end silently
+        log.exception("The server cannot continue.")
+    finally:
+        logging.shutdown()
+        os._exit(code)
+
+
+def _watch() -> HangWatch:
+    watch = HangWatch()
+    watch.start()
+    return watch
+
+
+def _log() -> None:
+    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

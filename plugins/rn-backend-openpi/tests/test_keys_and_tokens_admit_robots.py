@@ -1,0 +1,162 @@
+"""Keys of a pair and tokens: admission to a policy server, and servers that a robot trusts."""
+
+from __future__ import annotations
+
+import sys
+from datetime import UTC, datetime
+from pathlib import Path
+
+import pytest
+from policy_servers import (
+    Robot,
+    Serve,
+    answers,
+    link_of,
+    pair,
+    said_to,
+)
+
+from rn_backend_openpi.security import Guard, is_loopback, place_of
+from rn_backend_openpi.shared_options import ListenOptions, SharedOptions
+from rn_link.certificates import issue, key_to_pem, new_issuer, new_key, to_pem, write_private
+from rn_link_pairing.keeping import remove_peer
+from rn_testing.waiting import wait_until
+from roboneuron import (
+    ConfigurationError,
+    MissingDependencyError,
+    NotReadyError,
+)
+
+pytestmark = pytest.mark.timeout(200)
+
+
+def test_a_server_with_a_certificate_of_somebody_else_is_not_trusted(
+    serve: Serve, robot: Robot, tmp_path: Path
+) -> None:
+    server = serve()
+    # exchanged: the robot is now paired with another machine of that name
+    pair(tmp_path / "robot", tmp_path / "third")
+    with pytest.raises(ConfigurationError, match="not trusted"):
+        robot(server.address)
+
+
+def test_a_machine_that_is_removed_is_cut_off_at_both_ends(
+    serve: Serve, robot: Robot, tmp_path: Path
+) -> None:
+    server = serve()
+    one = robot(server.address)
+    assert answers(one)
+    remove_peer(link_of(tmp_path / "robot"), "gpu")
+    wait_until(lambda: not answers(one), 20.0, "the robot has left the server")
+    pair(tmp_path / "robot", tmp_path / "third")
+    assert not answers(one)
+    pair(tmp_path / "robot", tmp_path / "gpu")
+    wait_until(lambda: answers(one), 30.0, "both have taken the new keys")
+    remove_peer(link_of(tmp_path / "gpu"), "robot")
+    wait_until(lambda: server.status()["robots"] == 0, 20.0, "the server has hung up")
+    assert not answers(one)
+
+
+def test_a_token_admits_and_a_wrong_one_is_refused(
+    serve: Serve, robot: Robot, tmp_path: Path
+) -> None:
+    server = serve(keys="token")
+    token = tmp_path / "token"
+    assert token.stat().st_mode & 0o777 == 0o600
+    assert answers(robot(server.address, token_file=str(token)))
+    port = server.port
+    for wrong in (
+        "",
+        "x",
+        "Api-Key",
+        "Api-Key x",
+        "Bearer " + token.read_text().strip(),
+        "x" * 3000,
+    ):
+        head = f"GET / HTTP/1.1\r\nHost: x\r\nAuthorization: {wrong}\r\n"
+        upgrade = "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
+        key = "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n"
+        heard = said_to(port, (head + upgrade + key).encode())
+        assert heard.startswith(b"HTTP/1.1 401 ")
+        assert heard.endswith(b"\r\n\r\n"), "no word about the server"
+    assert not said_to(port, b"GET /status HTTP/1.1\r\nHost: x\r\n\r\n").startswith(b"HTTP/1.1 2")
+    (tmp_path / "other").write_text("y" * 32)
+    (tmp_path / "other").chmod(0o600)
+    with pytest.raises(ConfigurationError, match="refuses the token"):
+        robot(server.address, token_file=str(tmp_path / "other"))
+
+
+def test_a_token_is_not_sent_in_clear(tmp_path: Path) -> None:
+    token = tmp_path / "token"
+    token.write_text("x" * 32)
+    options = {"address": "192.0.2.1:7420", "token_file": str(token)}
+    token.chmod(0o644)
+    with pytest.raises(ConfigurationError, match="Others may read"):
+        place_of(SharedOptions.model_validate(options))
+    token.chmod(0o600)
+    with pytest.raises(ConfigurationError, match="not sent unencrypted"):
+        place_of(SharedOptions.model_validate(options))
+    listen = {"host": "0.0.0.0", "keys": "token", "token_file": str(token)}
+    with pytest.raises(ConfigurationError, match="unencrypted"):
+        Guard(ListenOptions.model_validate(listen))
+    token.write_text("short")
+    with pytest.raises(ConfigurationError, match="5 characters"):
+        place_of(SharedOptions.model_validate({**options, "address": "localhost:1"}))
+    assert [is_loopback(host) for host in ("127.0.0.9", "localhost", "gpu", "10.0.0.1")] == [
+        True,
+        True,
+        False,
+        False,
+    ]
+
+
+def test_machines_that_are_not_paired_are_told_to_pair(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "none"))
+    with pytest.raises(ConfigurationError, match="roboneuron link"):
+        place_of(SharedOptions(address="gpu:7420"))
+    with pytest.raises(ConfigurationError, match="roboneuron link"):
+        Guard(ListenOptions())
+    pair(tmp_path / "robot", tmp_path / "gpu", address="192.0.2.7")
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "robot"))
+    assert place_of(SharedOptions(address="gpu:7420")).host == "192.0.2.7"
+    with pytest.raises(ConfigurationError, match=r"paired with gpu \(192"):
+        place_of(SharedOptions(address="elsewhere:7420"))
+    with pytest.raises(ConfigurationError, match="the hub of its link"):
+        Guard(ListenOptions())
+
+
+@pytest.mark.exhaustive
+def test_a_token_goes_over_tls_where_the_servers_certificate_is_known(
+    serve: Serve, robot: Robot, tmp_path: Path
+) -> None:
+    issuer = new_issuer("server", datetime.now(UTC))
+    key = new_key()
+    shown = issue(issuer, "server", "member", key.public_key(), datetime.now(UTC), 30)
+    write_private(tmp_path / "server.pem", to_pem(shown))
+    write_private(tmp_path / "server.key", key_to_pem(key))
+    write_private(tmp_path / "ca.pem", to_pem(issuer.certificate))
+    write_private(
+        tmp_path / "other.pem", to_pem(new_issuer("other", datetime.now(UTC)).certificate)
+    )
+    server = serve(
+        keys="token",
+        host="0.0.0.0",
+        certificate=str(tmp_path / "server.pem"),
+        key=str(tmp_path / "server.key"),
+    )
+    options = {"token_file": str(tmp_path / "token"), "coding": "raw"}
+    assert answers(robot(server.address, ca=str(tmp_path / "ca.pem"), **options))
+    with pytest.raises(ConfigurationError, match="not trusted"):
+        robot(server.address, ca=str(tmp_path / "other.pem"), **options)
+    with pytest.raises(NotReadyError, match="closed the connection without an answer"):
+        robot(server.address, start_timeout_s=0.5, **options)
+
+
+def test_without_rn_link_a_person_is_told_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "rn_link.machine", None)
+    with pytest.raises(MissingDependencyError, match="pip install"):
+        place_of(SharedOptions(address="gpu:7420"))
+    with pytest.raises(MissingDependencyError, match="pip install"):
+        Guard(ListenOptions())

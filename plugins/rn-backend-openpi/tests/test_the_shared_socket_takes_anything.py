@@ -1,0 +1,129 @@
+"""Connections to a shared server that are silent, numerous or send nonsense."""
+
+from __future__ import annotations
+
+import os
+import resource
+import socket
+import threading
+from contextlib import ExitStack, suppress
+from pathlib import Path
+
+import pytest
+from policy_servers import PASSING, SEEN, Robot, answers, fail_accepts
+from websockets.frames import Frame, Opcode
+from websockets.sync.client import unix_connect
+
+from rn_backend_openpi import listener as listener_module
+from rn_backend_openpi.messages import RESERVED, from_observation
+from rn_backend_openpi.wire import pack, unpack
+
+pytestmark = pytest.mark.timeout(200)
+
+
+def socket_in(folder: Path) -> str:
+    (path,) = (folder / "run").glob("*.sock")
+    return str(path)
+
+
+def test_nonsense_on_the_socket_disturbs_nobody(served: Robot, tmp_path: Path) -> None:
+    one = served()
+    path = socket_in(tmp_path)
+    for nonsense in (b"\xff" * 64, b"GET / HTTP/1.1\r\n\r\n" * 2, b"GET / HTTP/1.1\r\n"):
+        with socket.socket(socket.AF_UNIX) as wild:
+            wild.settimeout(30.0)
+            wild.connect(path)
+            wild.sendall(nonsense)
+            wild.shutdown(socket.SHUT_WR)
+            while wild.recv(4096):
+                pass
+    request = pack({"prompt": "go", "observation/image": 7})
+    huge = b"\x82\xff" + (1 << 40).to_bytes(8, "big") + bytes(4)
+    for frame in (
+        Frame(Opcode.BINARY, b"nope").serialize(mask=True),
+        Frame(Opcode.TEXT, b"nope").serialize(mask=True),
+        Frame(Opcode.BINARY, b"\x91" * 100_000).serialize(mask=True),
+        Frame(Opcode.BINARY, request).serialize(mask=True),
+        Frame(Opcode.BINARY, request).serialize(mask=False),
+        huge,
+    ):
+        with unix_connect(path, "ws://localhost/", compression=None) as wild:
+            wild.recv(timeout=30.0)
+            wild.socket.sendall(frame)
+            with suppress(Exception):
+                while True:
+                    wild.recv(timeout=30.0)
+            assert wild.close_code is not None
+    assert answers(one)
+    assert threading.active_count() < 50
+
+
+def test_a_client_that_knows_only_openpis_entries_is_answered_alike(
+    served: Robot, tmp_path: Path
+) -> None:
+    expected = served().predict(SEEN)
+    request = from_observation(SEEN)
+    del request[RESERVED]
+    with unix_connect(socket_in(tmp_path), "ws://localhost/", compression=None) as client:
+        assert isinstance(unpack(client.recv(decode=False, timeout=30.0)), dict)
+        for _ in range(2):
+            client.send(pack(request))
+            answer = unpack(client.recv(decode=False, timeout=30.0))
+            assert isinstance(answer, dict)
+            assert answer["actions"].tobytes() == expected.actions.tobytes()
+            assert answer["step_s"] == expected.step_s
+            assert answer["server_timing"]["infer_ms"] > 0.0
+
+
+def test_connections_that_say_nothing_keep_no_robot_out(served: Robot, tmp_path: Path) -> None:
+    one = served()
+    path = socket_in(tmp_path)
+    with ExitStack() as stack:
+        crowd = [stack.enter_context(socket.socket(socket.AF_UNIX)) for _ in range(200)]
+        for silent in crowd:
+            silent.connect(path)
+        assert served().predict(SEEN).metrics["shared.batch"] == 1.0
+        assert one.predict(SEEN).actions.size
+        crowd[0].settimeout(20)
+        assert crowd[0].recv(1) == b""  # the oldest one was closed
+
+
+def test_a_connection_without_a_handshake_ends(
+    served: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(listener_module, "HANDSHAKE_S", 0.05)
+    served()
+    with socket.socket(socket.AF_UNIX) as silent:
+        silent.settimeout(20)
+        silent.connect(socket_in(tmp_path))
+        assert silent.recv(1) == b""
+
+
+def test_a_server_without_handles_serves_again_when_it_has_some(
+    served: Robot, tmp_path: Path
+) -> None:
+    one = served()
+    path = socket_in(tmp_path)
+    before = resource.getrlimit(resource.RLIMIT_NOFILE)
+    with ExitStack() as stack:
+        crowd = [stack.enter_context(socket.socket(socket.AF_UNIX)) for _ in range(5)]
+        next_one = os.dup(0)
+        os.close(next_one)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (next_one, before[1]))
+        try:
+            for refused in crowd:
+                refused.connect(path)
+            assert one.predict(SEEN).actions.size  # a connected robot is still served
+        finally:
+            resource.setrlimit(resource.RLIMIT_NOFILE, before)
+    assert served().predict(SEEN).actions.size
+
+
+@pytest.mark.exhaustive
+def test_robots_come_in_after_connections_that_were_lost(
+    served: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    served()
+    fail_accepts(monkeypatch, *PASSING)
+    for _ in range(2):
+        assert answers(served())

@@ -1,1 +1,0 @@
-"""One loaded model for the backends of several robots."""
