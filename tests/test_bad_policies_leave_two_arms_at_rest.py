@@ -43,7 +43,7 @@ async def _check_fault(agent: DemoAgent, fault: str, told: str) -> None:
     try:
         await agent.call("set_instruction", {"instruction": fault})
     except NotReadyError as error:  # it is told at once if the policy answers soon
-        assert told in str(error)
+        assert told in str(error)  # noqa: PT017
     await _until(
         agent,
         lambda moved, error: told in error and max(moved.values()) < STILL_RAD,
