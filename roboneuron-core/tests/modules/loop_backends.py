@@ -60,12 +60,20 @@ class Slow(Instant):
 
 
 class Moody(Instant):
-    """Answers when permitted, with half the speed of `Instant`."""
+    """Answers when permitted, with half the speed of `Instant`; fails if the instruction is "fail".
 
-    may_answer = threading.Event()
+    Attributes:
+        asked: set while it is asked.
+    """
+
+    may_answer, asked = threading.Event(), threading.Event()
 
     def predict(self, observation: Observation) -> ActionChunk:
+        self.asked.set()
         self.may_answer.wait(30.0)
+        self.asked.clear()
+        if observation.instruction == "fail":
+            raise UngroundedError("It fails.")
         return ActionChunk(actions=np.array([[0.005, 0, 0, 0, 0, 0, 1.0]]), step_s=0.02)
 
 

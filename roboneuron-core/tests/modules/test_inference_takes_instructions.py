@@ -97,3 +97,23 @@ def test_a_parameter_that_its_feature_refuses_changes_nothing(
     assert result.reason == "no ROS time"
     cell.send_image()
     assert holds_within(lambda: len(cell.actions) == 1)
+
+
+@pytest.mark.parametrize("is_replaced", [True, False])
+def test_a_failure_of_a_replaced_instruction_is_no_error_of_the_new_one(
+    make_inference: Callable[..., Cell], request: pytest.FixtureRequest, is_replaced: bool
+) -> None:
+    cell = make_inference("moody", replace={'instruction = "go"': 'instruction = "fail"'})
+    backend = cell.inference.module.backend
+    request.addfinalizer(backend.may_answer.set)
+    backend.may_answer.clear()
+    assert cell.send_until(backend.asked.is_set)
+    if is_replaced:
+        assert cell.instruct("go").successful
+    backend.may_answer.set()
+    if is_replaced:
+        assert holds_within(lambda: cell.status().get("dropped.withdrawn_chunk") == "1")
+        assert cell.status()["error_count"] == "0"
+        assert cell.send_until(lambda: len(cell.actions) > 0)
+    else:
+        assert holds_within(lambda: cell.status()["error_code"] == "ungrounded")

@@ -236,7 +236,15 @@ class InferenceModule(Module):
         # changed meanwhile: the epoch may be that of the next one
         if self._instruction.count != count:
             return
-        answered = self._predict(prediction, instructed, stop)
+        try:
+            answered = self._predict(prediction, instructed, stop)
+        except Exception:
+            if self._instruction.count == count:
+                raise
+            # of an instruction that was replaced meanwhile: no error of the present one
+            log.info("The answer to an earlier instruction failed", exc_info=True)
+            self.status.drop("withdrawn_chunk")
+            return
         if answered is None:
             return
         answer, took_s = answered
