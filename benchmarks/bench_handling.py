@@ -120,7 +120,7 @@ class Judge:
             for name in before
             if name != colour and np.linalg.norm(after[name] - before[name]) > NEIGHBOUR_M
         }
-        told = {one["object"].split()[0] for one in answer.get("others_moved", ())}
+        told = {one["object"].split()[0] for one in answer.get("others_moved") or ()}
         for unsure in ("not_seen_well", "not_seen_after"):
             told |= {one.split()[0] for one in answer.get(unsure, ())}
         tally.neighbours += len(moved)

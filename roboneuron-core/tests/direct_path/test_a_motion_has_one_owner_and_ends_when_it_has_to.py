@@ -341,11 +341,11 @@ def test_a_motion_that_does_not_end_in_time_is_told(cell: Cell, place: Place) ->
 @pytest.mark.parametrize(
     ("total_s", "details", "text"),
     [
-        (None, "", "Ended after 1.50 s, nothing could be sent to end it: The call was cancelled."),
+        (None, "", "The motion ended early, after 1.50 s; nothing could be sent to end it: The call was cancelled."),
         (
             2.0,
             "at home",
-            "Ended after 1.50 of 2.00 s, nothing could be sent to end it (at home): "
+            "The motion ended early, after 1.50 s of the planned 2.00 s; nothing could be sent to end it (at home): "
             "The call was cancelled.",
         ),
     ],

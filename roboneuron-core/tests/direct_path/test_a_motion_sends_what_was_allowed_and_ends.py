@@ -202,12 +202,12 @@ def test_a_motion_that_ended_early_raises_its_cause_with_what_became_of_it() -> 
     with pytest.raises(RefusedError) as caught:
         end.check()
     assert caught.value.message == (
-        "Ended after 1.23 of 5.68 s, the joints were told to hold (at home): "
+        "The motion ended early, after 1.23 s of the planned 5.68 s; the joints were told to hold (at home): "
         "The emergency stop is latched."
     )
     assert caught.value.hint == "Ask a person."
     assert caught.value.__cause__ is cause
-    with pytest.raises(RefusedError, match=r"^Ended after 1\.00 s, nothing could be sent to end"):
+    with pytest.raises(RefusedError, match=r"^The motion ended early, after 1\.00 s; nothing could be sent to end"):
         MotionEnd(after_s=1.0, cause=cause).check()
 
 

@@ -102,6 +102,7 @@ class PaintedCell:
         depths: message of each camera's depth.
         locator: the chosen one.
         patches: rows and columns of a camera's pictures that something grey covers.
+        light: factors of red, green and blue of the lamp over the table.
         events: of the host.
     """
 
@@ -121,6 +122,7 @@ class PaintedCell:
     takers: dict[str, Callable[[Any], None]] = field(default_factory=dict)
     topics: list[str] = field(default_factory=list)
     patches: dict[str, tuple[slice, slice]] = field(default_factory=dict)
+    light: tuple[float, float, float] = (1.0, 1.0, 1.0)
     events: Any = field(default_factory=lambda: SimpleNamespace(change=Event(), call_ended=Event()))
 
     def profile(self) -> RobotProfile:
@@ -186,6 +188,7 @@ class PaintedCell:
                 image = picture(name, tuple(self.cubes.items())).copy()
                 if name in self.patches:
                     image[self.patches[name]] = 120
+                image = (image * self.light).astype(np.uint8)
                 made = message(image, self.ages_s[name])
                 if name in self.takers:
                     depth = self.depths[name]

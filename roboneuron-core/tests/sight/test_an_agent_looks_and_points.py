@@ -45,6 +45,24 @@ def seen(cell: PaintedCell) -> dict[str, Any]:
     return answer
 
 
+WARM, COLD, GREEN = (0.6, 0.45, 0.3), (0.3, 0.4, 0.7), (0.4, 0.8, 0.4)
+
+
+@pytest.mark.parametrize("light", [(1.0, 1.0, 1.0), (0.4, 0.4, 0.4), WARM, COLD, GREEN])
+def test_objects_are_found_in_coloured_light_which_is_told(
+    light: tuple[float, float, float],
+) -> None:
+    answer = seen(PaintedCell(cubes=CUBES, light=light))
+    by_name = {one["name"]: one for one in answer["objects"]}
+    assert by_name.keys() == {f"{name} cube" for name in CUBES}
+    for name, (x_m, y_m, _) in CUBES.items():
+        one = by_name[f"{name} cube"]
+        off_m = np.linalg.norm(np.array(one["position_m"]) - [x_m, y_m, 0.022])
+        assert off_m <= one["uncertainty_m"] + 1e-4
+    is_coloured = max(light) != min(light)
+    assert set(answer["problems"]) == ({"above", "side"} if is_coloured else set())
+
+
 def test_objects_are_told_with_place_yaw_size_and_uncertainty() -> None:
     answer = seen(PaintedCell(cubes=CUBES))
     assert [one["mark"] for one in answer["objects"]] == [1, 2, 3]

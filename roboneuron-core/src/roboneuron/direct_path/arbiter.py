@@ -70,10 +70,10 @@ class MotionEnd:
         """
         if self.cause is None:
             return
-        total = "" if self.total_s is None else f" of {self.total_s:.2f}"
+        total = "" if self.total_s is None else f" s of the planned {self.total_s:.2f}"
         details = f" ({self.details})" if self.details else ""
         raise type(self.cause)(
-            f"Ended after {self.after_s:.2f}{total} s, {self.ending}{details}: "
+            f"The motion ended early, after {self.after_s:.2f}{total} s; {self.ending}{details}: "
             f"{self.cause.message}",
             hint=self.cause.hint,
         ) from self.cause

@@ -21,7 +21,7 @@ from roboneuron.sight.cube import (
     worst_misfit_px,
 )
 from roboneuron.sight.rays import MEET_M, grouped, ray_through
-from roboneuron.sight.segmentation import Blob, Mask, blobs_of, colour_masks
+from roboneuron.sight.segmentation import Blob, Mask, balanced, blobs_of, colour_masks
 
 F64 = NDArray[np.float64]
 
@@ -109,7 +109,7 @@ class ColourLocator:
             raise StateError("The locator 'colours' is not loaded.")
         seen: dict[str, list[_ColouredRegion]] = {}
         for image in images:
-            masks = dict(colour_masks(image.frame.image))
+            masks = dict(colour_masks(balanced(image.frame.image)))
             coloured = np.logical_or.reduce(list(masks.values()))
             for colour, mask in masks.items():
                 others = coloured & ~mask

@@ -33,6 +33,13 @@ LEAST_FILL = 0.45
 least half from any direction.
 """
 
+_TINTED, _TINT_SATURATION, _TINT_HUE_DEG = 0.85, 0.25, 25.0
+"""A picture is tinted if so many of its pixels are at least so saturated and of about one hue: where
+the light is white, walls, robots and most tables are not.
+"""
+_SPARSE = 4
+"""Step at which pixels are taken to judge the light."""
+
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Blob:
@@ -58,12 +65,40 @@ class Blob:
         return centre
 
 
-def _vivid_hues(image: NDArray[np.uint8]) -> tuple[Mask, F64]:
-    """Pixels of `image` that have a colour, and their hues [deg], row by row."""
+def tint_of(image: NDArray[np.uint8]) -> F64 | None:
+    """Colour (3,) of the light in `image` (H, W, 3) RGB, its brightest channel 1, by which dividing
+    makes the usual pixel grey; None if the light is about white.
+    """
+    sparse = np.ascontiguousarray(image[::_SPARSE, ::_SPARSE])
+    bright = int(np.count_nonzero(sparse.max(axis=2) >= LEAST_VALUE * 255))
+    vivid, hues = _vivid_hues(sparse, _TINT_SATURATION)
+    if not bright or len(hues) < _TINTED * bright:
+        return None
+    usual: F64 = np.median(sparse[vivid].astype(np.float64), axis=0)
+    _, usual_deg = _vivid_hues(usual.astype(np.uint8).reshape(1, 1, 3), _TINT_SATURATION)
+    apart_deg = np.abs((hues[:, np.newaxis] - usual_deg + 180.0) % 360.0 - 180.0)
+    if np.count_nonzero(apart_deg <= _TINT_HUE_DEG) < _TINTED * bright:
+        return None  # also where the usual pixel is grey
+    tint: F64 = np.maximum(usual, 1.0) / usual.max()
+    return tint
+
+
+def balanced(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """`image` (H, W, 3) RGB as in white light, see `tint_of`."""
+    tint = tint_of(image)
+    return image if tint is None else np.minimum(image / tint, 255.0).astype(np.uint8)
+
+
+def _vivid_hues(
+    image: NDArray[np.uint8], saturation: float = LEAST_SATURATION
+) -> tuple[Mask, F64]:
+    """Pixels of `image` that are at least so saturated and bright enough to have a colour, and
+    their hues [deg], row by row.
+    """
     channels = [image[:, :, i] for i in range(3)]
     high = np.maximum(np.maximum(channels[0], channels[1]), channels[2])
     spread = high - np.minimum(np.minimum(channels[0], channels[1]), channels[2])
-    vivid = (spread >= LEAST_SATURATION * high) & (high >= LEAST_VALUE * 255) & (spread > 0)
+    vivid = (spread >= saturation * high) & (high >= LEAST_VALUE * 255) & (spread > 0)
     red, green, blue = image[vivid].astype(np.float64).T
     top, width = high[vivid].astype(np.float64), spread[vivid].astype(np.float64)
     sector = np.select(

@@ -4,12 +4,15 @@ what has no room or no support is refused with its rule.
 
 from __future__ import annotations
 
+import asyncio
 from typing import Any
 
 import numpy as np
 import pytest
 
-from roboneuron import LocatedObject, Pose, RefusedError
+from roboneuron import LocatedObject, NotReadyError, Pose, RefusedError
+from roboneuron.contract import F64
+from roboneuron.tools.arm.absolute import top_down
 from roboneuron.tools.arm.hand_space import UprightBox, gap_m
 from roboneuron.tools.arm.options import HandOptions
 from roboneuron.tools.arm.put_down import (
@@ -21,6 +24,7 @@ from roboneuron.tools.arm.put_down import (
     descents_of,
     route_down,
 )
+from roboneuron.tools.arm.routes import run_route
 
 HAND = HandOptions()
 EDGE_M = 0.044
@@ -143,3 +147,40 @@ def test_it_is_carried_over_everything_and_left_upwards() -> None:
     assert away.position_m is not None
     assert down.position_m is not None
     assert away.position_m[2] > down.position_m[2] + 0.03
+
+
+class StuckCarrier:
+    """Carries out parts of a route until the hand has opened or closed `openings` times; no later
+    move arrives.
+    """
+
+    def __init__(self, openings: int) -> None:
+        self._left = openings
+        self._place: F64 = np.array([0.4, 0.0, 0.2])
+
+    async def pose(self) -> tuple[F64, F64]:
+        return self._place, top_down(0.0)
+
+    async def move(self, fields: dict[str, float]) -> None:
+        if self._left <= 0:
+            raise NotReadyError("The arm is stuck.")
+        if "gripper_open" in fields:
+            self._left -= 1
+        self._place = self._place + [fields.get(axis, 0.0) for axis in ("dx_m", "dy_m", "dz_m")]
+
+    def check_holds(self) -> None:
+        pass
+
+
+@pytest.mark.parametrize("openings", [0, 1])
+def test_an_error_of_the_retreat_says_that_it_is_put_down(openings: int) -> None:
+    (descent,) = descents(PlaceTarget(middle=np.array([0.5, 0.1])))
+    start = Pose(
+        position_m=np.array([0.4, 0.0, 0.2]),
+        quaternion_xyzw=np.array([1.0, 0.0, 0.0, 0.0]),
+        stamp_ns=1,
+    )
+    route = route_down(descent, HELD, start, (), 0.0)
+    with pytest.raises(NotReadyError) as failed:
+        asyncio.run(run_route(StuckCarrier(openings), route, 1.0, (1.0, 1.0)))
+    assert ("Red cube is put down" in failed.value.hint) is bool(openings)

@@ -35,7 +35,9 @@ class MovedObject(Result):
 class Surroundings(Result):
     """Fields of an answer about the objects that a motion was not about."""
 
-    others_moved: list[MovedObject] = Field(default=[])
+    others_moved: list[MovedObject] | None = Field(
+        default=[], description="null: none is known to have moved, and not all were seen well"
+    )
     not_seen_well: list[str] = Field(
         default=[], description="hidden before or after: whether they moved is not known"
     )
@@ -44,7 +46,8 @@ class Surroundings(Result):
 
 def displaced(before: CellLook, after: CellLook, carried: LocatedObject | None) -> Surroundings:
     """Other objects that are elsewhere than before, as far as both looks tell."""
-    told = Surroundings()
+    moved: list[MovedObject] = []
+    told = Surroundings(others_moved=moved)
     left = list(after.objects)
     if carried is not None:
         held = nearest_like(left, carried, np.inf)
@@ -66,10 +69,11 @@ def displaced(before: CellLook, after: CellLook, carried: LocatedObject | None) 
             # fewer cameras see it than before: the outline that is left may be cut
             is_certain = is_certain and not _may_be_cut(again, after)
         if is_certain and by_m > max(MOVED_M, doubt_m):
-            told.others_moved.append(MovedObject(object=name_of(one), by_m=round(by_m, 4)))
+            moved.append(MovedObject(object=name_of(one), by_m=round(by_m, 4)))
         elif by_m > MOVED_M or not is_certain:
             told.not_seen_well.append(name_of(one))
-    return told
+    is_open = told.not_seen_well or told.not_seen_after
+    return told.model_copy(update={"others_moved": moved or (None if is_open else [])})
 
 
 def _may_be_cut(one: LocatedObject, look: CellLook) -> bool:
@@ -112,7 +116,7 @@ class SceneWatch:
         if before is None or after is None:
             return None
         others = displaced(before, after, self._meant(before)).others_moved
-        return {other.object: other.by_m for other in others}
+        return None if others is None else {other.object: other.by_m for other in others}
 
     def pictures(self, cameras: Sequence[str]) -> tuple[list[Picture], list[Picture]] | None:
         """Pictures of these cameras from before and after, with the names of the objects; None

@@ -187,7 +187,12 @@ def route_to_grasp(grasp: Grasp, start: Pose, others: Sequence[UprightBox]) -> l
             opening=grasp.opening,
         ),
         Waypoint(
-            what=name, position_m=grasp.position_m, rotation=rotation, opening=0.0, holds=True
+            what=name,
+            position_m=grasp.position_m,
+            rotation=rotation,
+            opening=0.0,
+            holds=True,
+            done=f"The hand had grasped {name} before.",
         ),
         Waypoint(what="the lift", position_m=lifted, rotation=rotation, holds=True),
     ]

@@ -329,6 +329,7 @@ def route_down(
             position_m=descent.position_m,
             rotation=rotation,
             opening=descent.opening,
+            done=f"{name_of(held.object).capitalize()} is put down already.",
         ),
         Waypoint(what="the height above it", position_m=away, rotation=rotation),
     ]

@@ -13,7 +13,7 @@ import numpy as np
 
 from roboneuron.contract import Pose
 from roboneuron.contract.rotation import matrix_from_quaternion
-from roboneuron.errors import RefusedError, StateError
+from roboneuron.errors import RefusedError, RoboNeuronError, StateError
 from roboneuron.server.tool import CallContext
 from roboneuron.tools.arm.absolute import go_to
 from roboneuron.tools.arm.ee_line import F64
@@ -36,6 +36,7 @@ class Waypoint:
         opening: of the gripper, set when the TCP is there; None leaves it.
         holds: the hand must hold something afterwards.
         speed: further fraction of the speed of the call.
+        done: what is so from then on, for errors of later parts.
     """
 
     what: str
@@ -44,6 +45,7 @@ class Waypoint:
     opening: float | None = None
     holds: bool = False
     speed: float = 1.0
+    done: str = ""
 
 
 class Carrier(Protocol):
@@ -117,22 +119,33 @@ class DrivenCarrier:
 async def run_route(
     carrier: Carrier, route: Sequence[Waypoint], speed: float, fastest: tuple[float, float]
 ) -> None:
-    """Carry out a route. Raises as the carrier, and as `go_to`."""
+    """Carry out a route. Raises as the carrier, and as `go_to`; the hint says what is done."""
+    done = ""
     for part in route:
-        if part.position_m is not None:
-            await go_to(
-                carrier.pose,
-                carrier.move,
-                part.position_m,
-                part.rotation,
-                what=part.what,
-                speed=speed * part.speed,
-                fastest=fastest,
-            )
-        if part.opening is not None:
-            await carrier.move({"gripper_open": part.opening})
-        if part.holds:
-            carrier.check_holds()
+        try:
+            await _carry_out(carrier, part, speed * part.speed, fastest)
+        except RoboNeuronError as error:
+            raise error.with_hint(done) from error
+        done = part.done or done
+
+
+async def _carry_out(
+    carrier: Carrier, part: Waypoint, speed: float, fastest: tuple[float, float]
+) -> None:
+    if part.position_m is not None:
+        await go_to(
+            carrier.pose,
+            carrier.move,
+            part.position_m,
+            part.rotation,
+            what=part.what,
+            speed=speed,
+            fastest=fastest,
+        )
+    if part.opening is not None:
+        await carrier.move({"gripper_open": part.opening})
+    if part.holds:
+        carrier.check_holds()
 
 
 def rehearse(mover: EndEffectorMover, route: Sequence[Waypoint], speed: float) -> float:

@@ -28,6 +28,7 @@ from roboneuron.sight.marks import (
     shown,
 )
 from roboneuron.sight.pointing import place_at
+from roboneuron.sight.segmentation import tint_of
 from roboneuron.sight.sightlines import HandSight
 from roboneuron.tools.arm.grip import Grip
 
@@ -39,6 +40,10 @@ class LookNow(Protocol):
         """See `Looker.look`."""
 
 
+TINTED = (
+    "The light on its picture is coloured: objects may be missed, and colours named wrongly. "
+    "Use white light, or the white balance of the camera."
+)
 LastLook = Callable[[str], "CellLook | None"]
 """The last look of a client."""
 
@@ -94,7 +99,7 @@ class Looked(Result):
     objects: list[SeenObject]
     hands: list[Hand]
     pictures: list[ShownPicture]
-    problems: dict[str, str] = Field(description="camera -> why it tells no places")
+    problems: dict[str, str] = Field(description="camera -> what is wrong with its picture")
     took_s: float
 
 
@@ -225,6 +230,9 @@ def look_tool(
         now_ns = look.view.taken_ns
         objects = [seen_object(look, mark) for mark in range(1, len(look.objects) + 1)]
         problems = {foreign.printable(k, 40): text for k, text in look.view.problems.items()}
+        for frame in look.view.frames:
+            if tint_of(frame.image) is not None:
+                problems.setdefault(foreign.printable(frame.camera, 40), TINTED)
         if look.failure:
             problems["locator"] = look.failure
         told = [_shown(frame, pixels.get(frame.camera, {}), now_ns) for frame in look.view.frames]
