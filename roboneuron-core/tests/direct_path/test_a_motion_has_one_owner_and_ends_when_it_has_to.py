@@ -341,12 +341,16 @@ def test_a_motion_that_does_not_end_in_time_is_told(cell: Cell, place: Place) ->
 @pytest.mark.parametrize(
     ("total_s", "details", "text"),
     [
-        (None, "", "The motion ended early, after 1.50 s; nothing could be sent to end it: The call was cancelled."),
+        (
+            None,
+            "",
+            "Ended early, after 1.50 s; nothing could be sent to end it: The call was cancelled.",
+        ),
         (
             2.0,
             "at home",
-            "The motion ended early, after 1.50 s of the planned 2.00 s; nothing could be sent to end it (at home): "
-            "The call was cancelled.",
+            "Ended early, after 1.50 s of the planned 2.00 s; nothing could be sent to end it "
+            "(at home): The call was cancelled.",
         ),
     ],
 )

@@ -120,7 +120,8 @@ def test_a_motion_that_is_cancelled_ends_with_its_stop_message_and_says_so(
         yield TimedCommand(message=request.messages[0], due_s=0.0)
 
     with pytest.raises(
-        StateError, match=r"of 2\.00 s, the stop message was sent \(it is near\): The call was"
+        StateError,
+        match=r"of the planned 2\.00 s; the stop message was sent \(it is near\): The call was",
     ):
         bench.play(drive, request, commands=commands(), halt=halt, details=lambda: "it is near")
     assert [message.linear.x for message in bench.sent] == [0.25, 0.0]
@@ -164,7 +165,7 @@ def test_joints_of_a_motion_that_is_cancelled_hold_where_they_are(
         halt.set()
         yield TimedCommand(message=request.messages[0], due_s=0.0)
 
-    with pytest.raises(StateError, match=r"s, the joints were told to hold: The call was"):
+    with pytest.raises(StateError, match=r"s; the joints were told to hold: The call was"):
         bench.play(move, request, commands=commands(), halt=halt)
     assert list(bench.sent[-1].position) == [0.105, 0.2]
 
@@ -202,12 +203,14 @@ def test_a_motion_that_ended_early_raises_its_cause_with_what_became_of_it() -> 
     with pytest.raises(RefusedError) as caught:
         end.check()
     assert caught.value.message == (
-        "The motion ended early, after 1.23 s of the planned 5.68 s; the joints were told to hold (at home): "
+        "Ended early, after 1.23 s of the planned 5.68 s; the joints were told to hold (at home): "
         "The emergency stop is latched."
     )
     assert caught.value.hint == "Ask a person."
     assert caught.value.__cause__ is cause
-    with pytest.raises(RefusedError, match=r"^The motion ended early, after 1\.00 s; nothing could be sent to end"):
+    with pytest.raises(
+        RefusedError, match=r"^Ended early, after 1\.00 s; nothing could be sent to end"
+    ):
         MotionEnd(after_s=1.0, cause=cause).check()
 
 

@@ -73,7 +73,7 @@ class MotionEnd:
         total = "" if self.total_s is None else f" s of the planned {self.total_s:.2f}"
         details = f" ({self.details})" if self.details else ""
         raise type(self.cause)(
-            f"The motion ended early, after {self.after_s:.2f}{total} s; {self.ending}{details}: "
+            f"Ended early, after {self.after_s:.2f}{total} s; {self.ending}{details}: "
             f"{self.cause.message}",
             hint=self.cause.hint,
         ) from self.cause

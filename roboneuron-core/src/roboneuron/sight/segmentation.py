@@ -34,8 +34,8 @@ least half from any direction.
 """
 
 _TINTED, _TINT_SATURATION, _TINT_HUE_DEG = 0.85, 0.25, 25.0
-"""A picture is tinted if so many of its pixels are at least so saturated and of about one hue: where
-the light is white, walls, robots and most tables are not.
+"""A picture is tinted if so many of its pixels are at least so saturated and of about one hue: in
+white light walls, robots and most tables are not.
 """
 _SPARSE = 4
 """Step at which pixels are taken to judge the light."""
@@ -89,9 +89,7 @@ def balanced(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return image if tint is None else np.minimum(image / tint, 255.0).astype(np.uint8)
 
 
-def _vivid_hues(
-    image: NDArray[np.uint8], saturation: float = LEAST_SATURATION
-) -> tuple[Mask, F64]:
+def _vivid_hues(image: NDArray[np.uint8], saturation: float = LEAST_SATURATION) -> tuple[Mask, F64]:
     """Pixels of `image` that are at least so saturated and bright enough to have a colour, and
     their hues [deg], row by row.
     """
