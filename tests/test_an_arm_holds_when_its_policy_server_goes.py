@@ -7,7 +7,7 @@ from __future__ import annotations
 import json
 import socket
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -62,14 +62,11 @@ class Turning(Reflex):
     def __init__(self) -> None:
         super().__init__(SPACE, 1 / 15)
 
-    def answer(self, observations: Sequence[Observation]) -> list[ActionChunk]:
-        chunks = []
-        for observation in observations:
-            rows = np.zeros((8, 8))
-            rows[:, 6] = SPEED_RAD_S if time.monotonic() % 8.0 < 4.0 else -SPEED_RAD_S
-            rows[:, 7] = observation.gripper_open
-            chunks.append(ActionChunk(actions=rows, step_s=1 / 15, space=SPACE))
-        return chunks
+    def predict(self, observation: Observation) -> ActionChunk:
+        rows = np.zeros((8, 8))
+        rows[:, 6] = SPEED_RAD_S if time.monotonic() % 8.0 < 4.0 else -SPEED_RAD_S
+        rows[:, 7] = observation.gripper_open
+        return ActionChunk(actions=rows, step_s=1 / 15, space=SPACE)
 
 
 @dataclass

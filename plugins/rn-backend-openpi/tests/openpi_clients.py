@@ -26,8 +26,7 @@ REQUEST = {"observation/image": GREY, "observation/state": STATE, "prompt": "go"
 KEYS = {"primary": "observation/image"}
 
 
-def options_of(**server: Any) -> OpenpiOptions:
-    return OpenpiOptions(profile="libero", image_keys=KEYS, server=server)
+OPTIONS = OpenpiOptions(profile="libero", image_keys=KEYS)
 
 
 def model() -> Reflex:
@@ -48,8 +47,9 @@ def ask(connection: ClientConnection, request: Any = REQUEST) -> Any:
 
 
 @contextmanager
-def served(**server: Any) -> Iterator[str]:
-    with serving(options_of(**server), model()) as url:
+def served(**listen: Any) -> Iterator[str]:
+    """A server of the small model in openpi's form of LIBERO; options of `[listen]`."""
+    with serving(OPTIONS, model(), **listen) as url:
         yield url
 
 

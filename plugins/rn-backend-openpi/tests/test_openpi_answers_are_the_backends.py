@@ -93,19 +93,17 @@ def _asked(url: str, options: dict[str, Any], seen: Observation) -> Any:
 
 
 @pytest.mark.parametrize("name", SPACES)
-@pytest.mark.parametrize("precision", ["float64", "float32"])
 def test_rows_of_every_space_are_those_of_the_backend_to_the_bit(
-    name: str, precision: str, observe: Observe
+    name: str, observe: Observe
 ) -> None:
     space, options = SPACES[name]
     options = {"profile": "roboneuron", "space": space.kind, **options}
     model = Reflex(space, 1.0 / (space.rate_hz or 8.0))
     seen = _seen(observe)
-    served = OpenpiOptions(server={"precision": precision}, **options)
-    with serving(served, model, space=space) as url:
+    with serving(OpenpiOptions(**options), model, space=space) as url:
         chunk = _asked(url, options, seen)
     local = model.predict(seen)
-    assert chunk.actions.tobytes() == local.actions.astype(precision).astype(np.float64).tobytes()
+    assert chunk.actions.tobytes() == local.actions.tobytes()
     assert (chunk.space, chunk.step_s) == (space, local.step_s)
     assert chunk.metrics["server_ms"] >= 0.0
 
@@ -169,11 +167,11 @@ class Late(Reflex):
         super().__init__()
         self.asked = 0
 
-    def answer(self, observations: Any) -> Any:
+    def predict(self, observation: Observation) -> Any:
         self.asked += 1
         if self.asked > 1:
-            return [NotReadyError("not now") for _ in observations]
-        return super().answer(observations)
+            raise NotReadyError("not now")
+        return super().predict(observation)
 
 
 def test_what_the_backend_says_of_an_observation_reaches_the_robot(observe: Observe) -> None:

@@ -15,10 +15,10 @@ from pydantic import ValidationError
 
 from rn_backend_openpi.case import openpi_case
 from rn_backend_openpi.interface import layout_of
-from rn_backend_openpi.options import OpenpiOptions
+from rn_backend_openpi.options import OpenpiOptions, ServerOptions
 from rn_backend_openpi.plugin import BACKEND
 from rn_backend_openpi.profiles import PRESETS
-from rn_backend_openpi.server_options import ServerOptions
+from rn_backend_openpi.shared_options import PolicyServerOptions
 from rn_testing import (
     BackendCase,
     BackendContract,
@@ -55,10 +55,14 @@ def test_the_readme_names_every_option_and_profile_and_its_examples_are_valid() 
     names = {*PRESETS, *(name for model in models for name in model.model_fields)}
     assert [name for name in sorted(names) if f"`{name}`" not in README] == []
     blocks = re.findall(r"```toml\n(.*?)```", README, flags=re.DOTALL)
-    tables = [tomllib.loads(block).get("plugins", {}).get("openpi") for block in blocks]
-    read = [OpenpiOptions(**table) for table in tables if table is not None]
-    assert len(read) >= 4
-    for options in read:
+    files = [tomllib.loads(block) for block in blocks]
+    tables = [file["plugins"]["openpi"] for file in files if "openpi" in file.get("plugins", {})]
+    read = [OpenpiOptions(**table) for table in tables]
+    served = [PolicyServerOptions(**file) for file in files if "models" in file]
+    offered = [model.interface for file in served for model in file.models.values()]
+    interfaces = [*read, *filter(None, offered)]
+    assert (len(served), len(interfaces)) == (2, 4)
+    for options in interfaces:
         layout_of(options)
 
 
@@ -105,7 +109,6 @@ def test_the_client_does_without_torch() -> None:
         {"profile": "libero", "rate_hz": 20.0},
         {"profile": "droid", "space": "joint_velocity"},
         {"server": {"clients": 0}},
-        {"server": {"precision": "float16"}},
         {"surplus": 1},
     ],
 )

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from rn_backend_openpi.backend import OpenpiBackend
-from rn_backend_openpi.key import check_url, is_loopback
 from rn_backend_openpi.options import OpenpiOptions
+from rn_backend_openpi.security import check_url, is_loopback
 from roboneuron.contract import Observation
 from roboneuron.errors import (
     ConfigurationError,
@@ -53,7 +53,7 @@ def test_the_warning_is_logged_and_shown_in_every_chunk(
     caplog: pytest.LogCaptureFixture,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("rn_backend_openpi.key.is_loopback", lambda host: False)
+    monkeypatch.setattr("rn_backend_openpi.security.is_loopback", lambda host: False)
     backend = OpenpiBackend(options())
     with caplog.at_level(logging.WARNING):
         backend.load()

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from rn_backend_openpi.backend import OpenpiBackend
-from rn_backend_openpi.case import Reflex, serving
+from rn_backend_openpi.case import REFLEX, Reflex, serving
 from rn_backend_openpi.interface import layout_of
 from rn_backend_openpi.options import OpenpiOptions
 from rn_vla.letterbox import fit_antialiased
@@ -91,11 +91,15 @@ def _request(profile: str, number: int) -> dict[str, Any]:
 def test_the_published_client_gets_our_backends_rows(profile: str, tmp_path: Path) -> None:
     space, given, step_s = CASES[profile]
     options, model = OpenpiOptions(**given), Reflex(space, step_s)
+    spec = replace(REFLEX, optional_cameras=("wrist",))
     requests = {str(number): _request(profile, number) for number in range(3)}
+    token = tmp_path / "token"
+    token.write_text(KEY)
+    token.chmod(0o600)
     asked, told = tmp_path / "requests.npz", tmp_path / "answers.npz"
     arrays = {f"{n}|{key}": value for n in requests for key, value in requests[n].items()}
     np.savez(asked, **arrays)
-    with serving(options, model, space=space, key=KEY) as url:
+    with serving(options, model, spec, space=space, keys="token", token_file=token) as url:
         done = subprocess.run(
             [PYTHON, INTEROP / "openpi_client_asks.py", url, asked, told, KEY],
             capture_output=True,
@@ -182,7 +186,8 @@ def test_roboarenas_client_gets_an_answer() -> None:
     channels.append(Channel(name="gripper_open", unit="opening"))
     space = ControlSpace(kind="joint_position", channels=tuple(channels), rate_hz=15.0)
     options = OpenpiOptions(dialect="roboarena", **ARENA)
-    with serving(options, Reflex(space, 1 / 15), space=space) as url:
+    spec = replace(REFLEX, optional_cameras=("wrist", "secondary"))
+    with serving(options, Reflex(space, 1 / 15), spec, space=space) as url:
         done = subprocess.run(
             [PYTHON, INTEROP / "roboarena_peer.py", ROBOARENA, "ask", url.rsplit(":", 1)[1]],
             capture_output=True,

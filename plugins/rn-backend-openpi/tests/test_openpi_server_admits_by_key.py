@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import shutil
-import ssl
 import subprocess
 from pathlib import Path
+from typing import Any
 
 import pytest
 from openpi_clients import (
@@ -13,41 +13,17 @@ from openpi_clients import (
     KEYS,
     ask,
     http_get,
-    model,
     open_client,
-    options_of,
+    served,
 )
+from pydantic import ValidationError
 from websockets.exceptions import InvalidMessage, InvalidStatus
 
 from rn_backend_openpi.backend import OpenpiBackend
-from rn_backend_openpi.case import serving
 from rn_backend_openpi.options import OpenpiOptions
-from rn_backend_openpi.server import check_listening
-from rn_backend_openpi.server_options import ServerOptions
+from rn_backend_openpi.security import Guard
+from rn_backend_openpi.shared_options import ListenOptions
 from roboneuron.errors import ConfigurationError
-
-
-def test_health_is_told_to_anybody_and_nothing_else() -> None:
-    with serving(options_of(), model(), key=KEY) as url:
-        assert http_get(url, "/healthz") == (200, b"OK\n")
-        for path in ("/", "/metrics", "/../etc/passwd"):
-            status, body = http_get(url, path)
-            assert (status, body) == (401, b"")
-        status, body = http_get(url, "/", Authorization=f"Api-Key {KEY}")
-        assert status == 426  # not a websocket
-        assert KEY.encode() not in body
-
-
-def test_only_the_key_opens() -> None:
-    with serving(options_of(), model(), key=KEY) as url:
-        for header in ("", "Api-Key", f"Bearer {KEY}", f"Api-Key {KEY}x", "Api-Key ä"):
-            with pytest.raises(InvalidStatus) as caught:
-                open_client(
-                    url, additional_headers={"Authorization": header.encode().decode("latin-1")}
-                )
-            assert caught.value.response.status_code == 401
-        with open_client(url, additional_headers={"Authorization": f"Api-Key {KEY}"}) as connection:
-            assert ask(connection)["actions"].shape == (4, 7)
 
 
 @pytest.fixture
@@ -63,40 +39,62 @@ def files(tmp_path: Path) -> dict[str, str]:
     subprocess.run(command.split(), check=True, capture_output=True, timeout=30)
     token.write_text(KEY)
     token.chmod(0o600)
-    return {"certificate": str(pem), "certificate_key": str(key), "token_file": str(token)}
+    return {"certificate": str(pem), "key": str(key), "token_file": str(token)}
+
+
+def test_health_is_told_to_anybody_and_nothing_else(files: dict[str, str]) -> None:
+    with served(keys="token", token_file=files["token_file"]) as url:
+        assert http_get(url, "/healthz") == (200, b"OK\n")
+        for path in ("/", "/metrics", "/../etc/passwd"):
+            status, body = http_get(url, path)
+            assert (status, body) == (401, b"")
+        status, body = http_get(url, "/", Authorization=f"Api-Key {KEY}")
+        assert status == 426  # not a websocket
+        assert KEY.encode() not in body
+
+
+def test_only_the_key_opens(files: dict[str, str]) -> None:
+    with served(keys="token", token_file=files["token_file"]) as url:
+        for header in ("", "Api-Key", f"Bearer {KEY}", f"Api-Key {KEY}x", "Api-Key ä"):
+            with pytest.raises(InvalidStatus) as caught:
+                open_client(
+                    url, additional_headers={"Authorization": header.encode().decode("latin-1")}
+                )
+            assert caught.value.response.status_code == 401
+        with open_client(url, additional_headers={"Authorization": f"Api-Key {KEY}"}) as connection:
+            assert ask(connection)["actions"].shape == (4, 7)
 
 
 def test_other_machines_are_let_in_with_key_and_certificate_or_on_purpose(
     files: dict[str, str], caplog: pytest.LogCaptureFixture
 ) -> None:
-    def check(host: str, *names: str, insecure: bool = False) -> tuple[bool, bool]:
-        chosen = {name: files[name] for name in names}
-        options = ServerOptions.model_validate({**chosen, "insecure": insecure})
-        key, tls = check_listening(host, options)
-        return key is not None, tls is not None
+    def check(host: str, *names: str, **more: Any) -> tuple[bool, bool]:
+        keys = "token" if "token_file" in names else "none"
+        chosen = {"host": host, "keys": keys, **{name: files[name] for name in names}, **more}
+        guard = Guard(ListenOptions.model_validate(chosen))
+        return bool(guard.token), guard.context is not None
 
     for host in ("127.0.0.1", "localhost", "::1"):
         assert check(host) == (False, False)
-    with pytest.raises(ConfigurationError, match="no token_file and certificate"):
-        check("0.0.0.0")
-    with pytest.raises(ConfigurationError, match="there is no certificate"):
-        check("gpu.lab", "token_file")
-    with pytest.raises(ConfigurationError, match="there is no token_file"):
-        check("10.0.0.5", "certificate", "certificate_key")
+    for host, names, lacks in (
+        ("0.0.0.0", (), "no token_file and certificate"),
+        ("gpu.lab", ("token_file",), "there is no certificate"),
+        ("10.0.0.5", ("certificate", "key"), "there is no token_file"),
+    ):
+        with pytest.raises(ConfigurationError, match=lacks):
+            check(host, *names)
     assert check("10.0.0.5", *files) == (True, True)
     assert caplog.text == ""
     assert check("0.0.0.0", insecure=True) == (False, False)
     assert "without token_file and certificate" in caplog.text
-    with pytest.raises(ConfigurationError, match="no use without certificate"):
-        check("127.0.0.1", "certificate_key")
-    broken = ServerOptions.model_validate({"certificate": files["token_file"]})
+    with pytest.raises(ValidationError, match="no use without certificate"):
+        check("127.0.0.1", "key")
     with pytest.raises(ConfigurationError, match="cannot be used"):
-        check_listening("127.0.0.1", broken)
+        check("127.0.0.1", certificate=files["token_file"])
 
 
-def test_key_and_certificate_from_end_to_end(files: dict[str, str], tmp_path: Path) -> None:
-    key, tls = check_listening("127.0.0.1", ServerOptions.model_validate(files))
-    with serving(options_of(), model(), key=key, tls=tls) as url:
+def test_key_and_certificate_from_end_to_end(files: dict[str, str]) -> None:
+    with served(keys="token", **files) as url:
         given = {"url": url, "profile": "libero", "image_keys": KEYS}
         with pytest.raises(ConfigurationError, match="not trusted"):
             OpenpiBackend(OpenpiOptions(**given)).load()
@@ -108,9 +106,3 @@ def test_key_and_certificate_from_end_to_end(files: dict[str, str], tmp_path: Pa
         backend.close()
         with pytest.raises((InvalidMessage, OSError)):
             open_client(url.replace("wss", "ws"))
-
-
-def test_old_tls_is_not_spoken(files: dict[str, str]) -> None:
-    _, tls = check_listening("127.0.0.1", ServerOptions.model_validate(files))
-    assert tls is not None
-    assert tls.minimum_version == ssl.TLSVersion.TLSv1_2

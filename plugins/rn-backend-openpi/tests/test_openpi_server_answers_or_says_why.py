@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from openpi_clients import (
     KEYS,
+    OPTIONS,
     REQUEST,
     SLACK_S,
     ask,
     open_client,
-    options_of,
     served,
 )
 from openpi_format import encode
@@ -58,14 +58,15 @@ class Stuck(Reflex):
         super().__init__(step_s=0.05)
         self.released = threading.Event()
 
-    def answer(self, observations: Any) -> Any:
+    def predict(self, observation: Any) -> Any:
         self.released.wait(60.0)
-        return super().answer(observations)
+        return super().predict(observation)
 
 
-def test_a_model_that_hangs_is_told_in_time() -> None:
+def test_a_model_that_hangs_is_told_in_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rn_backend_openpi.model_server.ANSWER_S", 0.3)
     stuck = Stuck()
-    with serving(options_of(answer_timeout_s=0.3), stuck) as url:
+    with serving(OPTIONS, stuck) as url:
         with open_client(url) as connection:
             start = time.monotonic()
             assert "gave no answer before the deadline" in ask(connection)
@@ -76,7 +77,7 @@ def test_a_model_that_hangs_is_told_in_time() -> None:
 def test_a_server_that_ends_waits_for_no_model() -> None:
     stuck = Stuck()
     with ExitStack() as kept:
-        with serving(options_of(answer_timeout_s=0.2), stuck) as url:
+        with serving(OPTIONS, stuck) as url:
             connection = kept.enter_context(open_client(url))
             connection.send(msgpack.packb(REQUEST, default=encode))
             threading.Timer(0.6, stuck.released.set).start()
@@ -88,30 +89,30 @@ def test_a_server_that_ends_waits_for_no_model() -> None:
 class Broken(Reflex):
     """Fails with an unexpected error."""
 
-    def answer(self, observations: Any) -> Any:
+    def predict(self, observation: Any) -> Any:
         raise KeyError("/secret/path")
 
 
 def test_a_fault_of_the_backend_is_logged_and_not_told(caplog: pytest.LogCaptureFixture) -> None:
-    with serving(options_of(), Broken(step_s=0.05)) as url, open_client(url) as connection:
+    with serving(OPTIONS, Broken(step_s=0.05)) as url, open_client(url) as connection:
         assert ask(connection) == "PluginError: see the server's log."
     assert "/secret/path" in caplog.text
 
 
 class Silent(Reflex):
-    """Answers the first batch with nothing."""
+    """Answers the first observation with nothing."""
 
     asked = 0
 
-    def answer(self, observations: Any) -> Any:
+    def predict(self, observation: Any) -> Any:
         self.asked += 1
-        return [None] if self.asked == 1 else super().answer(observations)
+        return None if self.asked == 1 else super().predict(observation)
 
 
 def test_a_model_that_answers_with_nothing_is_told_and_asked_again(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    with serving(options_of(), Silent(step_s=0.05)) as url:
+    with serving(OPTIONS, Silent(step_s=0.05)) as url:
         with open_client(url) as connection:
             assert ask(connection) == "PluginError: see the server's log."
         with open_client(url) as connection:
@@ -122,6 +123,6 @@ def test_a_model_that_answers_with_nothing_is_told_and_asked_again(
 def test_a_chunk_of_another_period_than_the_profiles_is_refused(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    with serving(options_of(), Reflex(step_s=0.1)) as url, open_client(url) as connection:
+    with serving(OPTIONS, Reflex(step_s=0.1)) as url, open_client(url) as connection:
         assert ask(connection) == "PluginError: see the server's log."
     assert "rows every 0.1 s, the profile 'libero' has one every 0.05 s" in caplog.text

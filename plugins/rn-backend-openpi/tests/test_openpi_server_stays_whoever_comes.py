@@ -34,7 +34,7 @@ from roboneuron import ActionChunk
 
 
 def test_more_clients_than_may_are_refused_and_a_place_that_is_left_is_free_again() -> None:
-    with served(clients=2) as url, ExitStack() as opened:
+    with served(robots=2) as url, ExitStack() as opened:
         first = opened.enter_context(open_client(url))
         opened.enter_context(open_client(url))
         with pytest.raises(InvalidStatus) as caught:
@@ -65,7 +65,7 @@ for _ in range(40):
         (b"\x00" * 1000, "ForeignDataError"),
         ("text", "this one is text"),
         (msgpack.packb([1]), "expected a map"),
-        (msgpack.packb(np.zeros(3), default=encode), "this one is an array"),
+        (msgpack.packb(np.zeros(3), default=encode), "is no table"),
         ({**REQUEST, "prompt": DEEP}, "nested more than"),
         ({**REQUEST, "x": list(range(5000))}, "exceeds"),
         ({**REQUEST, "prompt": "x" * 100_000}, "exceeds"),
@@ -142,7 +142,7 @@ def test_random_bytes_before_the_handshake_disturb_nobody() -> None:
 def test_many_who_say_nothing_keep_nobody_out(monkeypatch: pytest.MonkeyPatch) -> None:
     # so that none of them times out before the others are answered
     monkeypatch.setattr("rn_backend_openpi.listener.HANDSHAKE_S", 120.0)
-    with served(clients=4) as url, ExitStack() as opened:
+    with served(robots=4) as url, ExitStack() as opened:
         good = opened.enter_context(open_client(url))
         address = ("127.0.0.1", int(url.rsplit(":", 1)[1]))
         strangers = [
@@ -161,8 +161,8 @@ class Wide(Reflex):
 
     chunk = ActionChunk(actions=np.full((80_000, 7), 0.5), step_s=0.1)
 
-    def answer(self, observations: Any) -> Any:
-        return [self.chunk for _ in observations]
+    def predict(self, observation: Any) -> Any:
+        return self.chunk
 
 
 PLAIN = msgpack.packb(
@@ -187,18 +187,25 @@ def _reading_nothing(url: str) -> Iterator[None]:
         slow.close()
 
 
-def test_a_client_that_does_not_read_holds_nobody_up() -> None:
+def test_a_client_that_does_not_read_holds_nobody_up(monkeypatch: pytest.MonkeyPatch) -> None:
     # waiting for it would take a minute, `ask` waits for a part of that
-    options = OpenpiOptions(profile="roboneuron", server={"send_timeout_s": 60.0})
-    with serving(options, Wide()) as url, _reading_nothing(url), open_client(url) as good:
+    monkeypatch.setattr("rn_backend_openpi.conversations.SEND_S", 60.0)
+    monkeypatch.setattr("rn_backend_openpi.front.SEND_S", 60.0)
+    with (
+        serving(OpenpiOptions(profile="roboneuron"), Wide()) as url,
+        _reading_nothing(url),
+        open_client(url) as good,
+    ):
         for _ in range(3):
             assert ask(good, PLAIN)["actions"].shape == (80_000, 7)
 
 
 @pytest.mark.exhaustive
 def test_a_client_that_does_not_read_is_dropped(caplog: pytest.LogCaptureFixture) -> None:
-    options = OpenpiOptions(profile="roboneuron", server={"send_timeout_s": 0.3, "clients": 1})
-    with serving(options, Wide()) as url, _reading_nothing(url):
+    with (
+        serving(OpenpiOptions(profile="roboneuron"), Wide(), robots=1) as url,
+        _reading_nothing(url),
+    ):
         deadline_s = time.monotonic() + 30.0
         while True:
             try:
@@ -210,8 +217,9 @@ def test_a_client_that_does_not_read_is_dropped(caplog: pytest.LogCaptureFixture
     assert "does not read; it is dropped" in caplog.text
 
 
-def test_a_client_that_asks_nothing_for_long_is_let_go() -> None:
-    with served(idle_timeout_s=0.3) as url, open_client(url) as idle:
+def test_a_client_that_asks_nothing_for_long_is_let_go(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rn_backend_openpi.conversations.IDLE_S", 0.3)
+    with served() as url, open_client(url) as idle:
         with pytest.raises(ConnectionClosed) as caught:
             idle.recv(timeout=SLACK_S)
         assert caught.value.rcvd is not None

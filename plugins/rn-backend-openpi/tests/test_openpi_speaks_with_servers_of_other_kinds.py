@@ -24,7 +24,7 @@ import pytest
 from websockets.sync.client import connect
 
 from rn_backend_openpi.backend import OpenpiBackend
-from rn_backend_openpi.case import Reflex, serving
+from rn_backend_openpi.case import REFLEX, Reflex, serving
 from rn_backend_openpi.interface import layout_of
 from rn_backend_openpi.metadata import describe, describe_arena
 from rn_backend_openpi.options import OpenpiOptions
@@ -178,7 +178,8 @@ def test_our_server_speaks_roboarenas_dialect(observe: Observe) -> None:
     space = ControlSpace(kind="joint_position", channels=tuple(channels), rate_hz=15.0)
     given = {"profile": "roboarena", "joints": ARM}
     model = Reflex(space, 1 / 15)
-    with serving(OpenpiOptions(dialect="roboarena", **given), model, space=space) as url:
+    spec = replace(REFLEX, optional_cameras=("wrist", "secondary"))
+    with serving(OpenpiOptions(dialect="roboarena", **given), model, spec, space=space) as url:
         with connect(url, compression=None, proxy=None) as plain:
             told = msgpack.unpackb(plain.recv(timeout=10.0))
         assert told == {
@@ -317,7 +318,7 @@ def test_the_key_comes_from_a_file_that_only_its_owner_reads(
         _backend(policy_server, api_key_file=key)
     key.write_text("a-key-of-some-length\n")
     key.chmod(0o644)
-    with pytest.raises(ConfigurationError, match="can be read by others"):
+    with pytest.raises(ConfigurationError, match="Others may read"):
         _backend(policy_server, api_key_file=key)
     key.chmod(0o600)
     _backend(policy_server, api_key_file=key).close()

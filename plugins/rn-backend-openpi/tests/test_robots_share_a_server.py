@@ -24,6 +24,7 @@ from policy_servers import (
 )
 
 from rn_backend_openpi.links import directory_of
+from rn_backend_openpi.remote import ModelLink
 from rn_backend_openpi.shared_case import options_in
 from rn_backend_openpi.shared_options import SharedOptions
 from rn_testing.waiting import wait_until
@@ -107,13 +108,13 @@ def test_images_that_the_model_does_not_use_are_not_sent(
 ) -> None:
     sent: list[list[str]] = []
     one = served()
-    ask = one._links.ask  # type: ignore[union-attr]
+    ask = ModelLink.ask
 
-    def watched(observation: Observation, deadline_s: float) -> Any:
+    def watched(link: ModelLink, observation: Observation, deadline_s: float) -> Any:
         sent.append(list(observation.frames))
-        return ask(observation, deadline_s)
+        return ask(link, observation, deadline_s)
 
-    monkeypatch.setattr(one._links, "ask", watched)
+    monkeypatch.setattr(ModelLink, "ask", watched)
     frame = SEEN.frames["primary"]
     one.predict(replace(SEEN, frames={"primary": frame, "wrist": frame, "top": frame}))
     assert sent == [["primary", "wrist"]]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import time
 import uuid
 from contextlib import ExitStack
@@ -14,12 +15,12 @@ from numpy.typing import NDArray
 
 from rn_backend_openpi import metadata
 from rn_backend_openpi.interface import layout_of
-from rn_backend_openpi.key import check_url, read_key, read_key_variable
-from rn_backend_openpi.layout import Layout
+from rn_backend_openpi.layout import STEP, Layout
 from rn_backend_openpi.messages import RESERVED
-from rn_backend_openpi.metadata import STEP, Told
+from rn_backend_openpi.metadata import Told
 from rn_backend_openpi.options import OpenpiOptions
 from rn_backend_openpi.plugin import MOST_ROWS
+from rn_backend_openpi.security import check_url, read_token
 from roboneuron import (
     ActionChunk,
     ArmState,
@@ -153,10 +154,16 @@ class OpenpiBackend:
     def _read_key(self) -> str | None:
         config = self._config
         if config.api_key_file is not None:
-            return read_key(config.api_key_file)
-        if config.api_key_variable is not None:
-            return read_key_variable(config.api_key_variable)
-        return None
+            return read_token(config.api_key_file)
+        if config.api_key_variable is None:
+            return None
+        key = os.environ.get(config.api_key_variable, "").strip()
+        if not key:
+            raise ConfigurationError(
+                f"The environment variable {config.api_key_variable!r} (api_key_variable) is not "
+                "set."
+            )
+        return key
 
     def _ask(
         self, session: _OpenpiSession, observation: Observation, timeout_s: float

@@ -1,26 +1,32 @@
-"""The backend's contract case: RoboNeuron's own server with a small model, in a thread."""
+"""The backend's contract case: RoboNeuron's own server with a small model, in threads."""
 
 from __future__ import annotations
 
-import asyncio
 import atexit
 import functools
-import ssl
+import tempfile
 import threading
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from rn_backend_openpi.batching import Answer
-from rn_backend_openpi.interface import layout_of
-from rn_backend_openpi.options import OpenpiOptions
+from rn_backend_openpi.front import PolicyServer
+from rn_backend_openpi.model import SharedModel
+from rn_backend_openpi.model_server import SharedModelServer
+from rn_backend_openpi.options import InterfaceOptions, OpenpiOptions
 from rn_backend_openpi.plugin import BACKEND
-from rn_backend_openpi.server import LOOPBACK, OpenpiServer, run_server
-from rn_backend_openpi.serving import Model, ServedPolicy
+from rn_backend_openpi.processes import ModelProcess
+from rn_backend_openpi.shared_options import (
+    ListenOptions,
+    PolicyServerOptions,
+    ServedModelOptions,
+    SharedOptions,
+)
 from rn_testing import BackendCase
-from roboneuron import EE_DELTA, ActionChunk, BackendSpec, ControlSpace, Observation
+from roboneuron import EE_DELTA, ActionChunk, Backend, BackendSpec, ControlSpace, Observation
 
 _START_S = 30.0
 REFLEX = BackendSpec(
@@ -33,14 +39,12 @@ REFLEX = BackendSpec(
 
 
 class Reflex:
-    """One layer over the mean colours of the picture and the state; see `Model`.
+    """One layer over the mean colours of the picture and the state; a `Backend` of batches.
 
     Args:
         space: control space of its rows.
         step_s: time between two rows [s].
     """
-
-    most = 8
 
     def __init__(self, space: ControlSpace = EE_DELTA, step_s: float = 0.1) -> None:
         self._space, self._step_s = space, step_s
@@ -49,7 +53,7 @@ class Reflex:
     def load(self) -> None:
         """Nothing to load."""
 
-    def answer(self, observations: Sequence[Observation]) -> Sequence[Answer]:
+    def predict_batch(self, observations: Sequence[Observation]) -> Sequence[ActionChunk]:
         """A chunk of four rows for each observation."""
         return [self.predict(observation) for observation in observations]
 
@@ -69,64 +73,111 @@ class Reflex:
             rows[:, part] /= np.linalg.norm(rows[:, part], axis=1, keepdims=True)
         return ActionChunk(actions=rows, step_s=self._step_s, space=self._space)
 
+    def reset(self) -> None:
+        """Nothing to forget."""
+
     def close(self) -> None:
         """Nothing to release."""
+
+
+class HeldModel(SharedModel):
+    """A served model that exists already.
+
+    Args:
+        options: those of its server.
+        backend: not loaded.
+        spec: its descriptor.
+        space: control space of its rows.
+    """
+
+    def __init__(
+        self, options: SharedOptions, backend: Backend, spec: BackendSpec, space: ControlSpace
+    ) -> None:
+        super().__init__(options)
+        self._held, self._space = (spec, backend), space
+
+    def _built(self) -> tuple[BackendSpec, Backend]:
+        return self._held
+
+    def _space_for(self, interface: InterfaceOptions) -> ControlSpace:
+        return self._space
+
+
+class ModelThread(ModelProcess):
+    """The server of a model in a thread instead of a process.
+
+    Args:
+        server: listens at `path`.
+        given: as of `ModelProcess`.
+    """
+
+    def __init__(self, server: SharedModelServer, *given: Any) -> None:
+        super().__init__(*given)
+        self._server = server
+        self._running = threading.Thread(target=server.run, daemon=True)
+
+    @property
+    def state(self) -> str:
+        """See `ModelProcess`."""
+        return str(self._server.status()["state"])
+
+    def start(self) -> None:
+        """Start the thread."""
+        self._running.start()
+
+    def stop(self) -> None:
+        """Request the end."""
+        self._server.stop()
+
+    def close(self) -> None:
+        """Wait for the end."""
+        self.stop()
+        self._running.join(_START_S)
 
 
 @contextmanager
 def serving(
     options: OpenpiOptions,
-    model: Model,
+    backend: Backend,
     spec: BackendSpec = REFLEX,
     *,
     space: ControlSpace = EE_DELTA,
-    key: str | None = None,
-    tls: ssl.SSLContext | None = None,
-    port: int = 0,
+    **listen: Any,
 ) -> Iterator[str]:
-    """Run a server in a thread while the block runs; yields its URL.
+    """Run a policy server in threads while the block runs; yields its URL.
 
     Args:
         options: of the interface and of the server.
-        model: the served model.
+        backend: the served model.
         spec: its descriptor.
         space: control space of its rows.
-        key: key that clients must send.
-        tls: TLS context of the server.
-        port: 0 for any free one.
+        listen: options of `[listen]`; by default a free port without a key.
     """
-    policy = ServedPolicy(model, spec, layout_of(options, space), space, options)
-    policy.load()
-    ports: list[int] = []
-    is_open = threading.Event()
-    loop = asyncio.new_event_loop()
-    until = asyncio.Event()
-
-    def tell(port: int) -> None:
-        ports.append(port)
-        is_open.set()
-
-    async def serve() -> None:
-        # one thread from the start: the contract kit counts threads that a client leaves behind
-        loop.set_default_executor(ThreadPoolExecutor(max_workers=1))
-        await asyncio.to_thread(int)
-        server = OpenpiServer(policy, options.server, key)
-        await run_server(server, (LOOPBACK, port), tls, tell, until)
-
-    def run() -> None:
-        with asyncio.Runner(loop_factory=lambda: loop) as runner:
-            runner.run(serve())
-
-    thread = threading.Thread(target=run, name="openpi-server", daemon=True)
-    thread.start()
-    try:
-        if not is_open.wait(_START_S):
-            raise TimeoutError("the server does not listen")
-        yield f"{'ws' if tls is None else 'wss'}://{LOOPBACK}:{ports[0]}"
-    finally:
-        loop.call_soon_threadsafe(until.set)
-        thread.join(_START_S)
-        policy.close()
+    model = ServedModelOptions(
+        backend=spec.name, interface=options.interface(), most=options.server.most
+    )
+    listening = {"port": 0, "keys": "none", "robots": options.server.clients, **listen}
+    served = PolicyServerOptions(
+        listen=ListenOptions.model_validate(listening), models={spec.name: model}
+    )
+    is_ready = threading.Event()
+    with tempfile.TemporaryDirectory(prefix="rn-") as name:
+        folder = Path(name)
+        server = PolicyServer(served, folder, "case", lambda port: is_ready.set())
+        path = folder / "model.sock"
+        held = HeldModel(model.shared(), backend, spec, space)
+        one = SharedModelServer(model.shared(), path, None, held)
+        server.models[spec.name] = ModelThread(one, spec.name, model, path)
+        thread = threading.Thread(target=server.run, name="policy-server", daemon=True)
+        thread.start()
+        try:
+            if not is_ready.wait(_START_S):
+                raise TimeoutError("the server does not listen")
+            scheme = "ws" if served.listen.certificate is None else "wss"
+            yield f"{scheme}://{served.listen.host}:{server.port}"
+        finally:
+            server.stop()
+            thread.join(_START_S)
 
 
 def openpi_case() -> BackendCase:

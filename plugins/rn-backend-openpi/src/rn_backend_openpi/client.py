@@ -9,20 +9,20 @@ import socket
 import ssl
 import threading
 import time
-from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Mapping
 from pathlib import Path
 from urllib.parse import urlsplit
 
 import numpy as np
 from numpy.typing import NDArray
-from websockets.exceptions import ConnectionClosed, InvalidStatus, InvalidURI, WebSocketException
-from websockets.protocol import State
-from websockets.sync.client import connect
-from websockets.sync.connection import Connection
+from websockets.exceptions import InvalidURI
 
-from rn_backend_openpi.wire import MOST_BYTES, Value, pack, unpack
-from roboneuron import ConfigurationError, InvalidInputError, NotReadyError
+from rn_backend_openpi.connection import HandshakeRefused, PolicyConnection
+from rn_backend_openpi.messages import RESERVED
+from rn_backend_openpi.security import authorization, tune
+from rn_backend_openpi.session import READY
+from rn_backend_openpi.wire import Value, pack, unpack
+from roboneuron import ConfigurationError, ForeignDataError, NotReadyError
 
 Reply = dict[object, object] | NDArray[np.generic]
 _FIRST_PAUSE_S = 0.05
@@ -31,7 +31,7 @@ _UNAUTHORIZED = (401, 403)
 _NOT_HERE = (200, 400, 404, 405, 410, 426, 501)
 """Of a server of another kind, or at another path; it stays so."""
 _SHOWN = 300
-_CLOSE_TIMEOUT_S = 0.5
+_SILENT_S = 5.0
 _RESET_DONE = "reset successful"
 """Reply to a reset. Source: roboarena policy_server.py."""
 log = logging.getLogger(__name__)
@@ -55,12 +55,11 @@ class PolicyClient:
         self, url: str, *, api_key: str | None = None, ca_file: Path | None = None
     ) -> None:
         self._url = url
-        self._headers = {"Authorization": f"Api-Key {api_key}"} if api_key else {}
+        self._headers = {"Authorization": authorization(api_key)} if api_key else {}
         parts = urlsplit(url)
         self._tls = _tls(ca_file) if parts.scheme == "wss" else None
         self._address = (parts.hostname or "", parts.port or (443 if parts.scheme == "wss" else 80))
-        self._connection: Connection | None = None
-        self._stack = ExitStack()
+        self._connection: PolicyConnection | None = None
         self._closed = threading.Event()
         self.connections = 0
         """Number of connections made."""
@@ -70,8 +69,7 @@ class PolicyClient:
         """True if the connection exists and has neither failed nor been closed by the server, which
         some do when idle.
         """
-        connection = self._connection
-        return connection is not None and connection.state is State.OPEN
+        return self._connection is not None and self._connection.is_open
 
     def open(self, timeout_s: float) -> dict[object, object]:
         """Connect, with growing pauses between attempts; returns the server's metadata.
@@ -83,14 +81,14 @@ class PolicyClient:
         self._drop()
         deadline_s = time.monotonic() + timeout_s
         pause_s, reason, was_answered = _FIRST_PAUSE_S, "no time was left", False
-        while (remaining_s := deadline_s - time.monotonic()) > 0:
+        while time.monotonic() < deadline_s:
             try:
-                metadata = self._attempt(remaining_s)
-            except (OSError, TimeoutError, WebSocketException) as error:
+                metadata = self._attempt(deadline_s)
+            except (OSError, ForeignDataError, InvalidURI) as error:
                 self._drop()
                 # the last attempt is cut short by the time limit, which is no reason
                 if not (was_answered and isinstance(error, TimeoutError)):
-                    reason, was_answered = _reason(error), isinstance(error, InvalidStatus)
+                    reason, was_answered = _reason(error), isinstance(error, HandshakeRefused)
                 self._check_final(error)
             else:
                 self.connections += 1
@@ -112,36 +110,13 @@ class PolicyClient:
                 within `timeout_s`.
             ConfigurationError: the reply does not follow the protocol.
         """
-        connection = self._connection
-        if connection is None:
-            raise NotReadyError(f"There is no connection to {self._url}.")
-        try:
-            reply = self._exchange(connection, request, timeout_s)
-        except (OSError, WebSocketException) as error:
-            self._drop()
-            if isinstance(error, TimeoutError):
-                raise NotReadyError(
-                    f"The policy server at {self._url} gave no answer within {timeout_s:g} s.",
-                    hint="It may be overloaded or gone; raise request_timeout_s if its inference "
-                    "takes longer.",
-                ) from error
-            raise NotReadyError(
-                f"The connection to {self._url} broke: {_reason(error)}."
-            ) from error
-        return self._decoded(reply)
+        return self._decoded(self._exchange(request, timeout_s))
 
     def reset(self, request: Mapping[str, Value], timeout_s: float) -> None:
         """Send one request whose answer only acknowledges it, as text or as a map. Raises
         NotReadyError as `infer` does.
         """
-        connection = self._connection
-        if connection is None:
-            raise NotReadyError(f"There is no connection to {self._url}.")
-        try:
-            told = self._exchange(connection, request, timeout_s)
-        except (OSError, WebSocketException) as error:
-            self._drop()
-            raise NotReadyError(f"The reset at {self._url} failed: {_reason(error)}.") from error
+        told = self._exchange(request, timeout_s)
         if told != _RESET_DONE:
             self._decoded(told)
 
@@ -150,54 +125,46 @@ class PolicyClient:
         self._closed.set()
         self._drop()
 
-    def _exchange(
-        self, connection: Connection, request: Mapping[str, Value], timeout_s: float
-    ) -> str | bytes:
-        """Send one frame and receive one. Raises TimeoutError when that takes longer."""
-        deadline_s = time.monotonic() + timeout_s
-        late = threading.Event()
-        self._check_silent(connection)
+    def _exchange(self, request: Mapping[str, Value], timeout_s: float) -> str | bytes:
+        """Send one message and receive one."""
+        connection, deadline_s = self._connection, time.monotonic() + timeout_s
+        if connection is None:
+            raise NotReadyError(f"There is no connection to {self._url}.")
         try:
-            with _shut_after(connection.socket, timeout_s, late):
-                connection.send(pack(request))
-        except (OSError, WebSocketException) as error:
-            if late.is_set():
-                raise TimeoutError("the server does not read") from error
-            raise
-        return connection.recv(timeout=max(0.0, deadline_s - time.monotonic()))
+            # openpi's answers have no number, so it would be taken for that of the request
+            if connection.has_message():
+                raise ConnectionAbortedError("the server sent an answer without a request")
+            connection.send(pack(request), deadline_s)
+            return connection.receive(deadline_s)
+        except TimeoutError as error:
+            self._drop()
+            raise NotReadyError(
+                f"The policy server at {self._url} gave no answer within {timeout_s:g} s.",
+                hint="It may be overloaded or gone; raise request_timeout_s if its inference "
+                "takes longer.",
+            ) from error
+        except (OSError, ForeignDataError) as error:
+            self._drop()
+            raise NotReadyError(
+                f"The connection to {self._url} broke: {_reason(error)}."
+            ) from error
 
-    def _check_silent(self, connection: Connection) -> None:
-        """Raise ConnectionError if an answer arrived before the request: openpi's answers have no
-        number, so it would be taken for that of the request.
-        """
-        with suppress(TimeoutError):
-            connection.recv(timeout=0)
-            raise ConnectionAbortedError("the server sent an answer without a request")
-
-    def _attempt(self, timeout_s: float) -> dict[object, object]:
-        deadline_s = time.monotonic() + timeout_s
+    def _attempt(self, deadline_s: float) -> dict[object, object]:
         # An own socket, without proxy or redirect: only the URL decides where images go and actions
         # come from.
-        plain = socket.create_connection(self._address, timeout=timeout_s)
-        plain.settimeout(None)
-        self._stack.callback(plain.close)
-        # No keep-alive pings: the server's event loop is blocked while it computes.
-        connection = self._connection = self._stack.enter_context(
-            connect(
-                self._url,
-                sock=plain,
-                ssl=self._tls,
-                additional_headers=self._headers,
-                compression=None,
-                max_size=MOST_BYTES,
-                open_timeout=max(0.0, deadline_s - time.monotonic()),
-                close_timeout=_CLOSE_TIMEOUT_S,
-                ping_interval=None,
-                proxy=None,
-            )
-        )
+        plain = socket.create_connection(self._address, timeout=deadline_s - time.monotonic())
         try:
-            told = connection.recv(timeout=max(0.0, deadline_s - time.monotonic()))
+            tune(plain, _SILENT_S)
+            if self._tls is not None:
+                plain = self._tls.wrap_socket(plain, server_hostname=self._address[0])
+            connection = PolicyConnection(plain, self._url, self._headers)
+        except BaseException:
+            plain.close()
+            raise
+        self._connection = connection
+        connection.open(deadline_s)
+        try:
+            told = connection.receive(deadline_s)
         except TimeoutError as error:
             raise TimeoutError("it accepted the connection, but sends no metadata") from error
         metadata = self._decoded(told)
@@ -207,19 +174,18 @@ class PolicyClient:
                 f"{self._url} sends an array before any request; metadata are a map.",
                 hint="Check that the URL is that of a policy server.",
             )
+        own = metadata.get(RESERVED)
+        if isinstance(own, dict) and own.get("state") != READY:
+            raise ConnectionError(str(own.get("message", "its model is not loaded yet")))
         return metadata
 
     def _decoded(self, frame: str | bytes) -> Reply:
         if isinstance(frame, str):
-            self._drop()
-            log.warning("policy server at %s failed:\n%s", self._url, frame)
-            last = (frame.strip().splitlines() or ["no text"])[-1][:_SHOWN]
-            raise NotReadyError(
-                f"The policy server at {self._url} reported a failure: {last}", hint="See its log."
-            )
+            lines = frame.strip().splitlines() or ["no text"]
+            raise self._failure(frame, lines[-1])
         try:
             reply = unpack(frame)
-        except InvalidInputError as error:
+        except ForeignDataError as error:
             self._drop()
             raise ConfigurationError(
                 f"The policy server at {self._url} sent data that is not in openpi's format. "
@@ -227,13 +193,18 @@ class PolicyClient:
                 hint="Check that the URL is that of a policy server.",
             ) from error
         if isinstance(reply, dict) and reply.get("type") == "error":
-            self._drop()
-            told = str(reply.get("message") or reply.get("error") or "no text")[:_SHOWN]
-            log.warning("policy server at %s failed: %s", self._url, told)
-            raise NotReadyError(
-                f"The policy server at {self._url} reported a failure: {told}", hint="See its log."
-            )
+            told = str(reply.get("message") or reply.get("error") or "no text")
+            raise self._failure(told, told)
         return reply
+
+    def _failure(self, told: str, shown: str) -> NotReadyError:
+        """Disconnect, log what the server told, and return the error that shows a part of it."""
+        self._drop()
+        log.warning("policy server at %s failed:\n%s", self._url, told)
+        return NotReadyError(
+            f"The policy server at {self._url} reported a failure: {shown[:_SHOWN]}",
+            hint="See its log.",
+        )
 
     def _check_final(self, error: Exception) -> None:
         """Raise ConfigurationError for a failure that waiting cannot resolve."""
@@ -247,15 +218,14 @@ class PolicyClient:
                 hint="Name the host as its certificate does, or name the authority's PEM file "
                 "with ca_file.",
             ) from error
-        if isinstance(error, InvalidStatus) and error.response.status_code in _UNAUTHORIZED:
+        if isinstance(error, HandshakeRefused) and error.status in _UNAUTHORIZED:
             raise ConfigurationError(
-                f"The policy server at {self._url} refused the key (HTTP "
-                f"{error.response.status_code}).",
+                f"The policy server at {self._url} refused the key (HTTP {error.status}).",
                 hint="Set api_key_file to a file with a valid key.",
             ) from error
-        if isinstance(error, InvalidStatus) and error.response.status_code in _NOT_HERE:
+        if isinstance(error, HandshakeRefused) and error.status in _NOT_HERE:
             raise ConfigurationError(
-                f"{self._url} answers, but with HTTP {error.response.status_code}: there is no "
+                f"{self._url} answers, but with HTTP {error.status}: there is no "
                 "policy at this address.",
                 hint="Correct the path in the option 'url': openpi's own server uses none, "
                 "vLLM-Omni /v1/realtime/robot/openpi, SGLang /openpi/policy.",
@@ -263,12 +233,8 @@ class PolicyClient:
 
     def _drop(self) -> None:
         connection, self._connection = self._connection, None
-        stack, self._stack = self._stack, ExitStack()
         if connection is not None:
-            # With a half-open peer an orderly close would block.
-            with suppress(OSError):
-                connection.socket.shutdown(socket.SHUT_RDWR)
-        stack.close()
+            connection.close()
 
 
 def _tls(ca_file: Path | None) -> ssl.SSLContext:
@@ -286,29 +252,5 @@ def _tls(ca_file: Path | None) -> ssl.SSLContext:
     return context
 
 
-@contextmanager
-def _shut_after(plain: socket.socket, timeout_s: float, late: threading.Event) -> Iterator[None]:
-    """Shut the socket when the body takes longer than `timeout_s`, and set `late`.
-
-    websockets bounds receiving but not sending: a peer that reads nothing would block it forever.
-    """
-
-    def shut() -> None:
-        late.set()
-        with suppress(OSError):
-            plain.shutdown(socket.SHUT_RDWR)
-
-    timer = threading.Timer(max(0.0, timeout_s), shut)
-    timer.daemon = True
-    timer.start()
-    try:
-        yield
-    finally:
-        timer.cancel()
-        timer.join()
-
-
 def _reason(error: Exception) -> str:
-    if isinstance(error, ConnectionClosed):
-        return f"closed by the other end ({error})"
     return str(error) or type(error).__name__

@@ -7,6 +7,7 @@ itself, and goes on at its deadline.
 from __future__ import annotations
 
 import socket
+import ssl
 import time
 from collections import deque
 from collections.abc import Mapping
@@ -55,6 +56,7 @@ class PolicyConnection:
         self._protocol = ClientProtocol(parse_uri(url), max_size=MOST_BYTES)
         self._headers = headers
         self._frames: deque[Frame] = deque()
+        self._messages: deque[bytes | str] = deque()
         self._parts: list[bytes] = []
         self._is_text = False
         self._is_cut = False
@@ -100,17 +102,32 @@ class PolicyConnection:
             OSError: the other side is gone.
             ForeignDataError: the other side sent something else.
         """
-        while True:
-            message = self._message()
-            if message is not None:
-                return message
+        while not self._has_message():
             self._read(deadline_s)
+        return self._messages.popleft()
 
-    def _message(self) -> bytes | str | None:
-        """The next received message, if it is complete."""
+    def has_message(self) -> bool:
+        """True if a message can be received without waiting. Raises as `receive`."""
+        with suppress(BlockingIOError, ssl.SSLWantReadError):
+            while not self._has_message():
+                self._socket.settimeout(0.0)
+                self._take(self._socket.recv(_PART_BYTES), time.monotonic())
+        return bool(self._messages)
+
+    @property
+    def is_open(self) -> bool:
+        """False if the other side is gone, or has closed the connection."""
+        try:
+            self.has_message()
+        except (OSError, ForeignDataError):
+            return False
+        return self._protocol.state is State.OPEN
+
+    def _has_message(self) -> bool:
+        """True if a message is complete."""
         events = self._protocol.events_received()
         self._frames.extend(event for event in events if isinstance(event, Frame))
-        while self._frames:
+        while self._frames and not self._messages:
             frame = self._frames.popleft()
             if frame.opcode is Opcode.CLOSE:
                 told = Close.parse(bytes(frame.data))
@@ -123,16 +140,19 @@ class PolicyConnection:
             if frame.fin:
                 message = b"".join(self._parts)
                 self._parts.clear()
-                return message.decode(errors="replace") if self._is_text else message
-        return None
+                text = message.decode(errors="replace") if self._is_text else None
+                self._messages.append(message if text is None else text)
+        return bool(self._messages)
 
     def _read(self, deadline_s: float) -> None:
-        """Receive some bytes, and answer pings."""
         left_s = deadline_s - time.monotonic()
         if left_s <= 0:
             raise TimeoutError("no data arrived in time")
         self._socket.settimeout(left_s)
-        data = self._socket.recv(_PART_BYTES)
+        self._take(self._socket.recv(_PART_BYTES), deadline_s)
+
+    def _take(self, data: bytes, deadline_s: float) -> None:
+        """Handle received bytes, and answer pings."""
         if data:
             self._protocol.receive_data(data)
         else:

@@ -27,6 +27,12 @@ from roboneuron import (
 
 _GRACE_S = 0.5
 """Time after its deadline at which an answer counts as late."""
+SEND_S = 0.5
+"""Time after which a client that does not read is disconnected; that of a front in between is
+longer, and its own.
+"""
+IDLE_S = 600.0
+"""Time without a request after which a client of openpi's kind is disconnected."""
 _MOST_OPEN = 4
 """Requests of a connection that are answered at the same time; a further one is not read yet."""
 _TOLD = (InvalidInputError, UngroundedError, UnsafeError, NotReadyError)
@@ -78,22 +84,7 @@ class Conversation(Protocol):
         """
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Patience:
-    """Time limits of a conversation [s].
-
-    Attributes:
-        send_s: without reading.
-        idle_s: without a request; None for any time.
-    """
-
-    send_s: float
-    idle_s: float | None = None
-
-
-async def converse(
-    connection: ServerConnection, conversation: Conversation, patience: Patience
-) -> None:
+async def converse(connection: ServerConnection, conversation: Conversation) -> None:
     """Serve one client until it disconnects.
 
     Errors are sent as a text frame, as openpi does, and close only that connection; for an
@@ -102,22 +93,21 @@ async def converse(
     peer = connection.remote_address
     open_tasks: set[asyncio.Task[None]] = set()
     previous: dict[str, float] = {}
+    is_robot = False
     try:
-        await send(connection, pack(conversation.first()), patience.send_s)
+        await send(connection, pack(conversation.first()), SEND_S)
         while True:
-            idle_s = None if open_tasks else patience.idle_s
-            try:
-                # unlike asyncio.timeout, it prefers a message that comes with the end of the time
-                data = await asyncio.wait_for(connection.recv(), idle_s)
-            except TimeoutError:
+            data = await _received(connection, None if is_robot else IDLE_S)
+            if data is None:
                 await connection.close(CloseCode.GOING_AWAY, "idle")
                 return
             request = await conversation.read(data)
             if not isinstance(request, PolicyRequest):
-                await send(connection, pack(request), patience.send_s)
+                await send(connection, pack(request), SEND_S)
                 continue
-            answering = _answer(connection, conversation, request, patience, previous)
-            if request.number is None:  # openpi's clients wait for each answer
+            answering = _answer(connection, conversation, request, previous)
+            is_robot = request.number is not None
+            if not is_robot:  # openpi's clients wait for each answer
                 await answering
                 continue
             while len(open_tasks) >= _MOST_OPEN:
@@ -130,20 +120,28 @@ async def converse(
     except RoboNeuronError as error:
         log.warning("%s is dropped: %s", peer, error)
         told = str(error) if isinstance(error, _TOLD) else "see the server's log."
-        await _fail(connection, f"{type(error).__name__}: {told}", patience)
+        await _fail(connection, f"{type(error).__name__}: {told}")
     except Exception:  # the border to one client: the others continue
         log.exception("%s is dropped.", peer)
-        await _fail(connection, "InternalError: see the server's log.", patience)
+        await _fail(connection, "InternalError: see the server's log.")
     finally:
         for task in open_tasks:
             task.cancel()
+
+
+async def _received(connection: ServerConnection, idle_s: float | None) -> str | bytes | None:
+    """The next message; None if there is none within `idle_s`."""
+    # the second wait is for a message that is on its way through the front
+    for limit_s in (idle_s, _GRACE_S):
+        with suppress(TimeoutError):
+            return await asyncio.wait_for(connection.recv(), limit_s)
+    return None
 
 
 async def _answer(
     connection: ServerConnection,
     conversation: Conversation,
     request: PolicyRequest,
-    patience: Patience,
     previous: dict[str, float],
 ) -> None:
     """Answer one request; `previous` is the timing of the one before, which openpi sends too."""
@@ -170,7 +168,7 @@ async def _answer(
         answer = error
     reply = {**conversation.reply(answer, request)}
     reply["server_timing"] = {"infer_ms": (loop.time() - began_s) * 1e3, **previous}
-    await send(connection, pack(reply), patience.send_s)
+    await send(connection, pack(reply), SEND_S)
     previous["prev_total_ms"] = (loop.time() - began_s) * 1e3
 
 
@@ -185,7 +183,7 @@ async def _guarded(connection: ServerConnection, answering: Coroutine[None, None
         connection.transport.abort()
 
 
-async def _fail(connection: ServerConnection, text: str, patience: Patience) -> None:
+async def _fail(connection: ServerConnection, text: str) -> None:
     with suppress(ConnectionClosed):
-        await send(connection, text, patience.send_s)
+        await send(connection, text, SEND_S)
         await connection.close(CloseCode.INTERNAL_ERROR, "see the text frame before")

@@ -12,7 +12,7 @@ import socket
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from http import HTTPStatus
@@ -39,7 +39,7 @@ from roboneuron import ConfigurationError, ForeignDataError
 log = logging.getLogger(__name__)
 HEALTH = "/healthz"
 """Page for a balancer: status 200 if every model is ready, otherwise 503."""
-_SEND_S = 2.0
+SEND_S = 2.0
 _REACH_S = 1.0
 _LOOK_S = 0.1
 _KEYS_LOOK_S = 0.5
@@ -56,10 +56,17 @@ class PolicyServer:
         options: options of the server.
         folder: folder for sockets and logs, accessible only to this user.
         name: name of the server among others in the folder.
+        tell: called with the port once all models are ready.
     """
 
-    def __init__(self, options: PolicyServerOptions, folder: Path, name: str) -> None:
-        self._options = options
+    def __init__(
+        self,
+        options: PolicyServerOptions,
+        folder: Path,
+        name: str,
+        tell: Callable[[int], object] = lambda port: None,
+    ) -> None:
+        self._options, self._tell = options, tell
         self._guard = Guard(options.listen)
         self.path = folder / f"{name}.sock"
         self.models = {
@@ -133,9 +140,12 @@ class PolicyServer:
             opened = await self._open(network)
             self.has_begun.set()
             _notify_manager()
-            looked_s = 0.0
+            looked_s, is_told = 0.0, False
             while not self._end.is_set():
                 await asyncio.sleep(_LOOK_S)
+                if not is_told and self._is_ready:
+                    self._tell(self.port)
+                    is_told = True
                 now_s = time.monotonic()
                 if now_s - looked_s < _KEYS_LOOK_S:
                     continue
@@ -190,7 +200,7 @@ class PolicyServer:
             try:
                 there = await _reached(model)
             except (OSError, InvalidHandshake):
-                await send(robot, pack({RESERVED: model.welcome()}), _SEND_S)
+                await send(robot, pack({RESERVED: model.welcome()}), SEND_S)
                 await robot.close(CloseCode.TRY_AGAIN_LATER, "the model is not ready")
                 return
             async with there:
@@ -210,7 +220,7 @@ class PolicyServer:
         async def answer() -> None:
             is_first = True
             async for message in there:
-                await send(robot, message, _SEND_S)
+                await send(robot, message, SEND_S)
                 if not is_first and asked_s:
                     self._served[model.name].note(time.monotonic() - asked_s.popleft())
                 is_first = False
@@ -223,12 +233,18 @@ class PolicyServer:
         await asyncio.gather(asking, answering, return_exceptions=True)
         if has_died:
             self._lost[model.name] += len(asked_s)
-            told = f"The model {model.name!r} has died; the server restarts it."
-            await robot.close(CloseCode.SERVICE_RESTART, told)
+            code, reason = there.close_code, there.close_reason
+            if code is None or code == CloseCode.ABNORMAL_CLOSURE:
+                code = CloseCode.SERVICE_RESTART
+                reason = f"The model {model.name!r} has died; the server restarts it."
+            await robot.close(code, reason or "")
+
+    @property
+    def _is_ready(self) -> bool:
+        return all(model.state == READY for model in self.models.values())
 
     def _health_page(self) -> tuple[HTTPStatus, str]:
-        is_ready = all(model.state == READY for model in self.models.values())
-        if is_ready:
+        if self._is_ready:
             return HTTPStatus.OK, "OK\n"
         return HTTPStatus.SERVICE_UNAVAILABLE, "a model is not ready\n"
 

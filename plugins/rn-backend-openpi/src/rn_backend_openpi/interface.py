@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
@@ -11,8 +12,8 @@ from rn_backend_openpi.options import (
     OWN,
     PLAIN,
     DeltaAction,
+    InterfaceOptions,
     JointAction,
-    OpenpiOptions,
     PoseAction,
 )
 from rn_backend_openpi.profiles import PRESETS, JointMeaning, Keys
@@ -32,7 +33,7 @@ from rn_backend_openpi.whole_state import WholeState
 from rn_vla.tcp_actions import ActionLayout
 from rn_vla.tcp_profiles import PROFILES
 from rn_vla.tcp_state import StateLayout
-from roboneuron import EE_DELTA, ConfigurationError, ControlSpace
+from roboneuron import EE_DELTA, BackendSpec, ConfigurationError, ControlSpace
 
 _PLAIN_IMAGES = MappingProxyType(
     {
@@ -43,7 +44,7 @@ _PLAIN_IMAGES = MappingProxyType(
 )
 
 
-def layout_of(options: OpenpiOptions, space: ControlSpace | None = None) -> Layout:
+def layout_of(options: InterfaceOptions, space: ControlSpace | None = None) -> Layout:
     """The interface that these options describe.
 
     Args:
@@ -80,14 +81,52 @@ def layout_of(options: OpenpiOptions, space: ControlSpace | None = None) -> Layo
     )
 
 
-def _arms(options: OpenpiOptions) -> tuple[str, ...]:
+def served_layout(options: InterfaceOptions, spec: BackendSpec, space: ControlSpace) -> Layout:
+    """The interface in which a server offers a backend, with the cameras that the backend reads;
+    without a profile that of the profile 'roboneuron', which fits every backend.
+
+    Args:
+        options: those of the server.
+        spec: descriptor of the backend.
+        space: control space of its chunks.
+
+    Raises:
+        ConfigurationError: a camera has no key, or the profile's control space differs from the
+            backend's.
+    """
+    if options.profile is None:
+        options = options.model_copy(update={"profile": PLAIN})
+    is_told = options.model_fields_set & {"space", "rate_hz", "joints", "arms"}
+    layout = layout_of(options, None if is_told else space)
+    lacking = [role for role in spec.cameras if role not in layout.image_keys]
+    if lacking:
+        raise ConfigurationError(
+            f"The backend {spec.name!r} needs the camera {lacking[0]!r}; profile {layout.name!r} "
+            f"has keys for {', '.join(layout.image_keys)}.",
+            hint="Add it to image_keys.",
+        )
+    rows = layout.rows.space
+    is_same = (rows.kind, rows.channels) == (space.kind, space.channels)
+    if not is_same or (space.rate_hz and rows.rate_hz != space.rate_hz):
+        raise ConfigurationError(
+            f"The backend {spec.name!r} answers in {space.label!r}, profile {layout.name!r} is for "
+            f"{rows.label!r}.",
+            hint="Choose another profile; 'roboneuron' fits every backend.",
+        )
+    roles = (*spec.cameras, *spec.optional_cameras)
+    keys = {role: key for role, key in layout.image_keys.items() if role in roles}
+    optional = frozenset(keys) - frozenset(spec.cameras)
+    return replace(layout, image_keys=keys, optional_roles=optional)
+
+
+def _arms(options: InterfaceOptions) -> tuple[str, ...]:
     preset = PRESETS.get(options.profile or "")
     if preset is not None:
         return ONE_ARM if preset.rows is None else preset.rows.arms
     return options.arms or ONE_ARM
 
 
-def _joints(options: OpenpiOptions) -> tuple[str, ...]:
+def _joints(options: InterfaceOptions) -> tuple[str, ...]:
     if options.joints is None:
         raise ConfigurationError(
             f"Profile {options.profile!r} needs the option 'joints': the robot's joints in the "
@@ -96,7 +135,7 @@ def _joints(options: OpenpiOptions) -> tuple[str, ...]:
     return options.joints
 
 
-def _rows(options: OpenpiOptions) -> Rows:
+def _rows(options: InterfaceOptions) -> Rows:
     base = np.array(options.base_position_m)
     preset = PRESETS.get(options.profile or "")
     if options.profile == PLAIN:
@@ -138,7 +177,7 @@ def _plain(space: ControlSpace) -> PlainRows:
     return PlainRows(space=space, step_s=1.0 / space.rate_hz if space.rate_hz else 0.0)
 
 
-def _refuse_joints(options: OpenpiOptions) -> None:
+def _refuse_joints(options: InterfaceOptions) -> None:
     """Raise ConfigurationError for joint names that are not used."""
     terms = {term for part in (options.state_keys or {}).values() for term in part}
     if options.joints is not None and "joints" not in terms:
@@ -148,7 +187,7 @@ def _refuse_joints(options: OpenpiOptions) -> None:
         )
 
 
-def _plain_space(options: OpenpiOptions) -> ControlSpace:
+def _plain_space(options: InterfaceOptions) -> ControlSpace:
     if options.space == "ee_delta":
         return EE_DELTA
     if options.space == "ee_pose":
@@ -164,7 +203,7 @@ def _plain_space(options: OpenpiOptions) -> ControlSpace:
     return ControlSpace(kind=options.space, channels=channels, rate_hz=options.rate_hz)
 
 
-def _state(options: OpenpiOptions) -> StateCodec:
+def _state(options: InterfaceOptions) -> StateCodec:
     if options.profile == PLAIN:
         return WholeState()
     preset = PRESETS.get(options.profile or "")

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Literal, cast
+from typing import Any, Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,11 +15,22 @@ from rn_backend_openpi.rows import Rows
 from rn_backend_openpi.state import StateCodec
 from rn_backend_openpi.wire import Value
 from rn_vla.letterbox import Flip, fit_antialiased, flip_image
-from roboneuron import Frame, InvalidInputError, Observation, UngroundedError
+from roboneuron import (
+    ActionChunk,
+    Frame,
+    InvalidInputError,
+    Observation,
+    PluginError,
+    UngroundedError,
+)
 
 Axes = Literal["hwc", "chw"]
 Size = tuple[int, int]
+STEP = "step_s"
+"""Entry of RoboNeuron's answers: time between two rows [s]."""
 _MOST_NESTED = 4
+_RATE_SHARE = 0.02
+"""Relative tolerance between a chunk's period and the profile's: rates are given in whole Hz."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -79,7 +90,7 @@ class Layout:
         return np.ascontiguousarray(turned if self.axes == "hwc" else turned.transpose(2, 0, 1))
 
     def observation_of(
-        self, request: Mapping[object, object], *, needed: Collection[str], has_state: bool
+        self, request: Mapping[Any, object], *, needed: Collection[str], has_state: bool
     ) -> Observation:
         """Convert a request to the observation for a server's backend.
 
@@ -113,6 +124,30 @@ class Layout:
             arms=measured.arms,
         )
 
+    def reply_of(self, chunk: ActionChunk, observation: Observation) -> dict[str, Value]:
+        """A server's answer.
+
+        Raises:
+            PluginError: the chunk has another control space or period than the interface.
+            UngroundedError, UnsafeError: as `Rows.from_contract`.
+        """
+        rows = self.rows
+        declared = rows.space
+        if (chunk.space.kind, chunk.space.channels) != (declared.kind, declared.channels):
+            raise PluginError(
+                f"The backend answered in {chunk.space.label!r}, it declares {declared.label!r}."
+            )
+        if rows.step_s and abs(chunk.step_s / rows.step_s - 1.0) > _RATE_SHARE:
+            raise PluginError(
+                f"The backend answered with rows every {chunk.step_s:g} s, the profile "
+                f"{self.name!r} has one every {rows.step_s:g} s."
+            )
+        return {
+            "actions": rows.from_contract(np.asarray(chunk.actions), observation),
+            STEP: chunk.step_s,
+            "policy_timing": {"infer_ms": float(chunk.metrics.get("shared.model_ms", 0.0))},
+        }
+
     def _frame(self, entries: Mapping[str, object], role: str, key: str) -> Frame:
         image = entries.get(key)
         if not isinstance(image, np.ndarray) or image.dtype != np.uint8 or image.ndim != 3:
@@ -134,7 +169,7 @@ def _put(request: dict[str, Value], key: str, value: Value) -> None:
 
 
 def _flat(
-    request: Mapping[object, object], prefix: str = "", left: int = _MOST_NESTED
+    request: Mapping[Any, object], prefix: str = "", left: int = _MOST_NESTED
 ) -> Iterator[tuple[str, object]]:
     """Entries by key, with a dot between the names of nested maps."""
     for name, value in request.items():

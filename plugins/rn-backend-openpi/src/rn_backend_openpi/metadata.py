@@ -14,8 +14,6 @@ from roboneuron import Channel, ConfigurationError, ControlSpace, InvalidInputEr
 PROTOCOL = 1
 """Version of the metadata that RoboNeuron's server adds to openpi's."""
 SERVER = "roboneuron"
-STEP = "step_s"
-"""Entry of its answers: time between two rows [s]."""
 _ARENA_SPACES = {
     "joint_position": "joint_position",
     "joint_velocity": "joint_velocity",

@@ -8,9 +8,14 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import cast
 
 from rn_backend_openpi.batching import Answer
+from rn_backend_openpi.interface import served_layout
+from rn_backend_openpi.layout import Layout
+from rn_backend_openpi.metadata import describe_arena
+from rn_backend_openpi.options import InterfaceOptions
 from rn_backend_openpi.shared_options import SharedOptions
 from rn_backend_openpi.shared_space import space_of
 from roboneuron import (
+    EE_DELTA,
     AccelerationSpec,
     ActionChunk,
     Backend,
@@ -22,7 +27,7 @@ from roboneuron import (
     RobotProfile,
     RuntimeSpec,
 )
-from roboneuron.command import build, discover
+from roboneuron.command import build, discover, load_profile
 
 Many = Callable[[Sequence[Observation]], Sequence[ActionChunk]]
 METHOD = "predict_batch"
@@ -42,6 +47,7 @@ class SharedModel:
 
     Attributes:
         spec: descriptor of the backend.
+        layout: interface for clients of openpi's kind; None without the option `interface`.
     """
 
     def __init__(self, options: SharedOptions) -> None:
@@ -49,6 +55,7 @@ class SharedModel:
         self._backend: Backend
         self._many: Many | None = None
         self.spec: BackendSpec
+        self.layout: Layout | None = None
 
     def load(self) -> None:
         """Create and load the backend.
@@ -57,10 +64,38 @@ class SharedModel:
             ConfigurationError: it is not installed, cannot be shared, or an option is wrong.
             RoboNeuronError: as `Backend.load`.
         """
+        self.spec, self._backend = self._built()
+        self._many = getattr(self._backend, METHOD, None)
+        if self._many is None and not self._options.stateless:
+            raise ConfigurationError(
+                f"The backend {self.spec.name!r} cannot answer several observations at once, and "
+                "may remember robots.",
+                hint="If it keeps no state from one observation to the next, set stateless = true "
+                "for this model: observations are then answered one by one.",
+            )
+        self._backend.load()
+        if self._options.interface is not None:
+            space = self._space_for(self._options.interface)
+            self.layout = served_layout(self._options.interface, self.spec, space)
+            if self._options.interface.dialect == "roboarena":
+                describe_arena(self.layout)  # a space without a name is found before any client
+
+    def _space_for(self, interface: InterfaceOptions) -> ControlSpace:
+        if interface.robot is not None:
+            return self.space_on(load_profile(discover(), interface.robot))
+        if self.spec.space is not None:
+            raise ConfigurationError(
+                f"The control space of backend {self.spec.name!r} depends on the robot.",
+                hint="Name it in `interface`: robot = ...",
+            )
+        return EE_DELTA
+
+    def _built(self) -> tuple[BackendSpec, Backend]:
+        """The backend that the options name, not loaded, and its descriptor."""
         options, registry = self._options, discover()
         if options.backend is None:
             raise ConfigurationError("The option `backend` of the shared model is not set.")
-        self.spec = spec = registry.get(BackendSpec, options.backend)
+        spec = registry.get(BackendSpec, options.backend)
         runtime = options.runtime or spec.default_runtime
         parts: dict[str, object] = {"runtime": None, "acceleration": None}
         if runtime:
@@ -71,17 +106,7 @@ class SharedModel:
         own = dict(options.options)
         if options.checkpoint is not None:
             own["checkpoint"] = options.checkpoint
-        self._backend = cast("Backend", build(spec, own, **parts))
-        self._many = getattr(self._backend, METHOD, None)
-        if self._many is None and not options.stateless:
-            raise ConfigurationError(
-                f"The backend {spec.name!r} cannot answer several observations at once, and may "
-                "remember robots.",
-                hint="If it keeps no state from one observation to the next, set stateless = "
-                "true in "
-                "[plugins.shared]: observations are then answered one by one.",
-            )
-        self._backend.load()
+        return spec, cast("Backend", build(spec, own, **parts))
 
     @property
     def most(self) -> int:

@@ -21,12 +21,13 @@ from websockets.asyncio.server import ServerConnection
 
 from rn_backend_openpi import messages
 from rn_backend_openpi.batching import Answer, Batcher, Waiting
-from rn_backend_openpi.conversations import Patience, PolicyRequest, Reply, converse
+from rn_backend_openpi.conversations import PolicyRequest, Reply, converse
 from rn_backend_openpi.fields import field, integer, number, table
 from rn_backend_openpi.images import CROPPED, crop
 from rn_backend_openpi.introduction import to_profile
 from rn_backend_openpi.listener import Listener
 from rn_backend_openpi.messages import RESERVED, Document
+from rn_backend_openpi.metadata import describe, describe_arena
 from rn_backend_openpi.model import SharedModel
 from rn_backend_openpi.session import FAILED, LOADING, PROTOCOL, READY
 from rn_backend_openpi.shared_options import SharedOptions
@@ -46,7 +47,8 @@ from roboneuron.command import HangWatch
 
 log = logging.getLogger(__name__)
 MOST_LEFT_S = 3600.0
-_PATIENCE = Patience(send_s=0.5)
+ANSWER_S = 10.0
+"""Time for an answer to a client that gives none."""
 _FAILED_S = 3.0
 """Time for which a server that could not load reports this before it ends."""
 _LOOK_S = 0.1
@@ -65,13 +67,20 @@ class SharedModelServer:
         options: options of the model.
         path: path of the socket.
         idle_s: time without a robot after which the server ends; None for never.
+        model: the model, not loaded; that of the options if None.
     """
 
-    def __init__(self, options: SharedOptions, path: Path, idle_s: float | None) -> None:
+    def __init__(
+        self,
+        options: SharedOptions,
+        path: Path,
+        idle_s: float | None,
+        model: SharedModel | None = None,
+    ) -> None:
         self._options = options
         self._path = path
         self._idle_s = idle_s
-        self._model = SharedModel(options)
+        self.model = model or SharedModel(options)
         self._batcher: Batcher | None = None
         self._listener = Listener(
             self._handle, most=_MOST_ROBOTS, pages={STATUS: self._status_page}
@@ -102,7 +111,7 @@ class SharedModelServer:
     def _serve(self, watch: HangWatch) -> int:
         try:
             with watch.loading():
-                self._model.load()
+                self.model.load()
         except RoboNeuronError as error:
             return self._fail(error)
         except (
@@ -112,14 +121,14 @@ class SharedModelServer:
             return self._fail(NotReadyError(f"The shared model cannot be loaded: {error!r}."))
         options = self._options
         batcher = self._batcher = Batcher(
-            self._statistics.timed(self._model.answer),
-            most=self._model.most,
+            self._statistics.timed(self.model.answer),
+            most=self.model.most,
             waiting=options.waiting,
             linger_s=options.linger_s,
             clients=lambda: len(self._listener.clients),
         )
         batcher.start()
-        self._image_sizes = self._model.image_sizes
+        self._image_sizes = self.model.image_sizes
         self._state = READY
         log.info("The model %s is ready.", self._options.backend)
         self._used_s = time.monotonic()
@@ -131,7 +140,7 @@ class SharedModelServer:
                 log.info("No robot for %g s.", self._idle_s)
                 break
         batcher.close()
-        self._model.close()
+        self.model.close()
         return 0
 
     def _fail(self, error: RoboNeuronError) -> int:
@@ -169,10 +178,24 @@ class SharedModelServer:
             thread.join(_START_S)
 
     async def _handle(self, connection: ServerConnection) -> None:
-        await converse(connection, _ModelConversation(self), _PATIENCE)
+        await converse(connection, _ModelConversation(self))
+
+    def first(self, number: int) -> Reply:
+        """The first message to a client: the interface as openpi's servers tell it, and the
+        description of the model with a number (see `Welcome`).
+        """
+        told: Document = {RESERVED: {**self.metadata(), "number": number}}
+        interface, layout = self._options.interface, self.model.layout
+        if self._state != READY or interface is None or layout is None:
+            return told
+        if interface.dialect == "roboarena":
+            return describe_arena(layout)
+        spec = self.model.spec
+        horizon = spec.action_space.horizon
+        return {**describe(layout, backend=spec.name, needed=spec.cameras, horizon=horizon), **told}
 
     def metadata(self) -> Document:
-        """Description of the model: the first message to a robot, which repeats the connection
+        """Description of the model in the first message to a robot, which repeats the connection
         while the model loads.
         """
         told: Document = {"protocol": PROTOCOL, "state": self._state, "pid": os.getpid()}
@@ -180,14 +203,14 @@ class SharedModelServer:
             failure: Document = messages.from_answer(self._failure)[RESERVED]
             return told | failure
         if self._state == READY:
-            spec = self._model.spec
+            spec = self.model.spec
             told["cameras"] = list(spec.cameras)
             told["optional_cameras"] = list(spec.optional_cameras)
             told["horizon"] = spec.action_space.horizon
             told["step_s"] = spec.action_space.step_s
             told["most_committed"] = spec.max_committed_rows
             told["takes_state"] = spec.takes_predicted_state
-            told["continues"] = self._model.continues_rows
+            told["continues"] = self.model.continues_rows
             told["crops"] = {role: list(one) for role, one in self._options.crop.items()}
             told["image_sizes"] = {role: list(size) for role, size in self._image_sizes.items()}
         return told
@@ -199,7 +222,7 @@ class SharedModelServer:
         if self._state != READY:
             return {}
         try:
-            return {"space": messages.from_space(self._model.space_on(to_profile(robot)))}
+            return {"space": messages.from_space(self.model.space_on(to_profile(robot)))}
         except ForeignDataError:  # no introduction; a refusal is for a model that does not fit
             raise
         except RoboNeuronError as error:
@@ -263,15 +286,15 @@ class _ModelConversation:
         self._held: OrderedDict[int, object] = OrderedDict()
 
     def first(self) -> Reply:
-        return {RESERVED: {**self._server.metadata(), "number": self._last}}
+        return self._server.first(self._last)
 
     async def read(self, data: str | bytes) -> PolicyRequest | Reply:
         if isinstance(data, str):
             raise InvalidInputError("A request is a binary frame of msgpack, this one is text.")
         request = table(unpack(data), "a request")
-        if RESERVED not in request:
-            return PolicyRequest(observation=await self._observation(request), left_s=MOST_LEFT_S)
-        own = table(request[RESERVED], RESERVED)
+        own = table(request.get(RESERVED, {}), RESERVED)
+        if "number" not in own:
+            return await self._plain(request, own)
         found, clock_ns = (integer(field(own, name), name) for name in ("number", "clock_ns"))
         if found != self._last + 1:
             raise ForeignDataError(
@@ -293,6 +316,24 @@ class _ModelConversation:
         return PolicyRequest(
             observation=observation, left_s=left_s, number=found, clock_ns=clock_ns
         )
+
+    async def _plain(self, request: Document, own: Document) -> PolicyRequest | Reply:
+        """Decode a request of a client of openpi's kind, which waits for each answer."""
+        endpoint = request.get("endpoint", "infer")
+        if endpoint == "reset":
+            return {"status": "reset successful"}
+        if endpoint != "infer":
+            raise InvalidInputError(f"There is no endpoint {str(endpoint)[:40]!r}.")
+        left_s = number(own.get("left_s", ANSWER_S), "left_s", 0.0)
+        model = self._server.model
+        if model.layout is None:
+            observation = await self._observation(request)
+        else:
+            observation = model.layout.observation_of(
+                request, needed=model.spec.cameras, has_state=model.spec.needs_state
+            )
+            observation = self._server.cropped(observation, {})
+        return PolicyRequest(observation=observation, left_s=min(left_s, ANSWER_S))
 
     async def _observation(self, request: Document) -> Observation:
         if messages.has_coded_images(request):  # their decoding must not hold up other connections
@@ -324,7 +365,10 @@ class _ModelConversation:
         self._server.note(answer)
         if isinstance(answer, RoboNeuronError):
             raise answer
-        return messages.from_answer(answer)
+        layout = self._server.model.layout
+        if layout is None:
+            return messages.from_answer(answer)
+        return layout.reply_of(answer, request.observation)
 
     def _told(self, answer: Answer, found: int, clock_ns: int) -> Reply:
         """An answer with the number of its request."""

@@ -1,9 +1,10 @@
-"""Options under `[plugins.openpi]`: the interface of the served policy, which client and server
-share, and the connection of each.
+"""Options of the interface of a served policy, which client and server share, and those under
+`[plugins.openpi]`.
 """
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
@@ -12,12 +13,12 @@ from pydantic import Field, model_validator
 from rn_backend_openpi.conventions import GripperValue, PoseRotation
 from rn_backend_openpi.layout import Axes
 from rn_backend_openpi.rows import JointKind
-from rn_backend_openpi.server_options import ServerOptions
 from rn_vla.letterbox import Flip
 from rn_vla.tcp_profiles import ActionOptions, OptionSection, Vector
 from rn_vla.tcp_state import StateTerm
 from roboneuron import AgentMaySet, ConfigurationOnly
 
+log = logging.getLogger(__name__)
 PLAIN, OWN = "roboneuron", "own"
 ProfileName = Literal[
     "libero",
@@ -33,6 +34,8 @@ ProfileName = Literal[
 ]
 SpaceKind = Literal["ee_delta", "ee_pose", "joint_position", "joint_velocity", "joint_delta"]
 _PLAIN_ONLY = {"space", "rate_hz", "slides", "grippers"}
+_OLD = frozenset({"answer_timeout_s", "send_timeout_s", "idle_timeout_s", "precision"})
+"""Options of the server of earlier releases."""
 Role = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=64)]
 Key = Annotated[str, Field(min_length=1, max_length=200)]
 Name = Annotated[str, Field(min_length=1, max_length=200)]
@@ -70,34 +73,14 @@ class JointAction(OptionSection):
 OwnAction = Annotated[DeltaAction | PoseAction | JointAction, Field(discriminator="kind")]
 
 
-class OpenpiOptions(OptionSection):
-    """Options of the backend "openpi", and of the server."""
+class InterfaceOptions(OptionSection):
+    """What the requests of openpi's clients hold, and what the answers mean: options that a client
+    and its server share.
+    """
 
-    url: Annotated[str, ConfigurationOnly()] = Field(
-        default="ws://127.0.0.1:8000",
-        pattern=r"^wss?://\S+$",
-        description="address of the policy server, with its path if it has one",
-    )
-    api_key_file: Annotated[Path | None, ConfigurationOnly()] = Field(
-        default=None, description="file with the API key"
-    )
-    api_key_variable: Annotated[str | None, ConfigurationOnly()] = Field(
-        default=None, description="name of the environment variable with the API key"
-    )
-    allow_insecure_key: Annotated[bool, ConfigurationOnly()] = Field(
-        default=False, description="send the key over an unencrypted remote connection"
-    )
-    ca_file: Annotated[Path | None, ConfigurationOnly()] = Field(
-        default=None, description="PEM of the authority that signed a wss:// server's certificate"
-    )
-    connect_timeout_s: float = Field(
-        default=10.0, gt=0, le=600, description="longest wait for the server during load [s]"
-    )
-    warm_up_timeout_s: float = Field(
-        default=120.0, gt=0, le=600, description="limit of the first inference (compilation) [s]"
-    )
-    request_timeout_s: float = Field(
-        default=1.5, gt=0, le=60, description="limit of one inference with reconnection [s]"
+    robot: Annotated[str | None, ConfigurationOnly()] = Field(
+        default=None,
+        description="of a server: the robot on whose joints the backend's control space depends",
     )
     dialect: Literal["auto", "openpi", "roboarena"] = Field(
         default="auto",
@@ -143,12 +126,6 @@ class OpenpiOptions(OptionSection):
         default=(0.0, 0.0, 0.0),
         description="position of the robot's base in the frame of the training data [m]",
     )
-    action_keys: Annotated[tuple[Key, ...], Field(min_length=1, max_length=16), AgentMaySet()] = (
-        Field(default=("actions",), description="arrays of the answer, concatenated in this order")
-    )
-    action_steps: int | None = Field(
-        default=None, ge=1, description="actions of a chunk to execute before the next one"
-    )
     image_keys: Annotated[dict[Role, Key] | None, AgentMaySet()] = Field(
         default=None,
         min_length=1,
@@ -168,9 +145,6 @@ class OpenpiOptions(OptionSection):
     prompt_key: Annotated[str, AgentMaySet()] = Field(
         default="prompt", min_length=1, description="key of the instruction"
     )
-    server: Annotated[ServerOptions, ConfigurationOnly()] = Field(
-        default=ServerOptions(), description="options of `roboneuron openpi-server`"
-    )
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
@@ -183,6 +157,97 @@ class OpenpiOptions(OptionSection):
         unread = _PLAIN_ONLY & self.model_fields_set
         if unread and self.profile not in (PLAIN, None):
             raise ValueError(f"{', '.join(sorted(unread))}: read by the profile 'roboneuron' only")
+        return self
+
+    def interface(self) -> InterfaceOptions:
+        """These options without those of a client."""
+        own = self.model_dump(include=set(InterfaceOptions.model_fields), exclude_unset=True)
+        return InterfaceOptions.model_validate(own)
+
+
+class ServerOptions(OptionSection):
+    """Options of `roboneuron openpi-server`, as `[listen]` and `[models.NAME]` of
+    `roboneuron serve-policy` have them.
+    """
+
+    host: Annotated[str, ConfigurationOnly()] = Field(
+        default="127.0.0.1", min_length=1, description="address to listen on"
+    )
+    port: int = Field(default=8000, ge=0, le=65535, description="port; 0 for any free one")
+    token_file: Annotated[Path | None, ConfigurationOnly()] = Field(
+        default=None, description="file with the key that clients send as Api-Key"
+    )
+    certificate: Annotated[Path | None, ConfigurationOnly()] = Field(
+        default=None, description="PEM of the server; enables wss://"
+    )
+    certificate_key: Annotated[Path | None, ConfigurationOnly()] = Field(
+        default=None, description="PEM of its private key; read from `certificate` if unset"
+    )
+    insecure: bool = Field(
+        default=False,
+        description="listen beyond this machine without token and certificate; logged",
+    )
+    clients: int = Field(default=16, ge=1, le=100, description="most connections")
+    waiting: int = Field(default=64, ge=1, le=4096, description="most observations in the queue")
+    most: int = Field(default=8, ge=1, le=256, description="most observations in one batch")
+    linger_s: float = Field(
+        default=0.003, ge=0, le=0.1, description="wait of an idle server for further robots [s]"
+    )
+    stateless: bool = Field(
+        default=False,
+        description="serve a backend without batches; only one that keeps no history",
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _without_old(cls, given: object) -> object:
+        if not isinstance(given, dict) or not _OLD & given.keys():
+            return given
+        log.warning("[plugins.openpi.server] has no %s any more.", ", ".join(_OLD & given.keys()))
+        return {name: value for name, value in given.items() if name not in _OLD}
+
+
+class OpenpiOptions(InterfaceOptions):
+    """Options of the backend "openpi", and of `roboneuron openpi-server`."""
+
+    url: Annotated[str, ConfigurationOnly()] = Field(
+        default="ws://127.0.0.1:8000",
+        pattern=r"^wss?://\S+$",
+        description="address of the policy server, with its path if it has one",
+    )
+    api_key_file: Annotated[Path | None, ConfigurationOnly()] = Field(
+        default=None, description="file with the API key"
+    )
+    api_key_variable: Annotated[str | None, ConfigurationOnly()] = Field(
+        default=None, description="name of the environment variable with the API key"
+    )
+    allow_insecure_key: Annotated[bool, ConfigurationOnly()] = Field(
+        default=False, description="send the key over an unencrypted remote connection"
+    )
+    ca_file: Annotated[Path | None, ConfigurationOnly()] = Field(
+        default=None, description="PEM of the authority that signed a wss:// server's certificate"
+    )
+    connect_timeout_s: float = Field(
+        default=10.0, gt=0, le=600, description="longest wait for the server during load [s]"
+    )
+    warm_up_timeout_s: float = Field(
+        default=120.0, gt=0, le=600, description="limit of the first inference (compilation) [s]"
+    )
+    request_timeout_s: float = Field(
+        default=1.5, gt=0, le=60, description="limit of one inference with reconnection [s]"
+    )
+    action_keys: Annotated[tuple[Key, ...], Field(min_length=1, max_length=16), AgentMaySet()] = (
+        Field(default=("actions",), description="arrays of the answer, concatenated in this order")
+    )
+    action_steps: int | None = Field(
+        default=None, ge=1, description="actions of a chunk to execute before the next one"
+    )
+    server: Annotated[ServerOptions, ConfigurationOnly()] = Field(
+        default=ServerOptions(), description="options of `roboneuron openpi-server`"
+    )
+
+    @model_validator(mode="after")
+    def _has_one_key(self) -> Self:
         if self.api_key_file is not None and self.api_key_variable is not None:
             raise ValueError("give api_key_file or api_key_variable, not both")
         return self

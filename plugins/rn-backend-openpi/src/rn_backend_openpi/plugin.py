@@ -46,7 +46,7 @@ when its server answers; a chunk that continues no rows is marked as such.
 """
 COMMAND = CommandSpec(
     name="openpi-server",
-    summary="serve the configured backend over openpi's websocket until Ctrl-C",
+    summary="serve-policy for the backend of a robot's configuration; of earlier releases",
     target="rn_backend_openpi.command:OpenpiServerCommand",
     requires=_MODULES,
 )

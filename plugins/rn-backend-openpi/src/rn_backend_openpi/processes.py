@@ -158,7 +158,7 @@ class ModelProcess:
             )
         assert process.stdin is not None
         try:
-            process.stdin.write(self._options.shared().model_dump_json() + "\n")
+            process.stdin.write(self._options.shared().model_dump_json(exclude_unset=True) + "\n")
             process.stdin.flush()
         except BrokenPipeError:
             pass  # it has died already, which is detected next

@@ -1,4 +1,4 @@
-"""A robot's connection to a server on another machine, with automatic reconnection."""
+"""A robot's connection to the server of its model, with automatic reconnection."""
 
 from __future__ import annotations
 
@@ -13,9 +13,16 @@ from http import HTTPStatus
 from rn_backend_openpi.coding import Coder
 from rn_backend_openpi.connection import HandshakeRefused, PolicyConnection
 from rn_backend_openpi.introduction import from_profile
-from rn_backend_openpi.messages import Document
+from rn_backend_openpi.links import LocalServer
+from rn_backend_openpi.messages import Document, from_observation
 from rn_backend_openpi.security import ServerAddress, authorization, link_stamps, place_of, tune
-from rn_backend_openpi.session import ModelSession, Welcome, check_ready, receive
+from rn_backend_openpi.session import (
+    ModelLoadingError,
+    ModelSession,
+    Welcome,
+    check_ready,
+    receive,
+)
 from rn_backend_openpi.shared_options import SharedOptions
 from roboneuron import (
     ActionChunk,
@@ -33,7 +40,7 @@ _GREET_S = 2.0
 _DESCRIBE_S = 5.0
 _REACH_S = 10.0
 """Longest wait for an unreachable server at the start; the wait for a loading one is longer."""
-_LOOK_S = 0.2
+_LOOK_S, _LOCAL_LOOK_S = 0.2, 0.02
 _FIRST_PAUSE_S, _LAST_PAUSE_S = 0.1, 2.0
 _SILENT = 3
 """Number of consecutive deadlines without an answer after which the connection is replaced."""
@@ -42,20 +49,21 @@ _KEYS_S = 1.0
 """Period of checks for changed keys."""
 
 
-class RemoteLink:
-    """Client of a server with an address; used from one thread, except `close`.
+class ModelLink:
+    """Client of a server with an address, or of one on this machine, which is started if it is
+    missing; used from one thread, except `close`.
 
     It never blocks a robot beyond the deadline of its observation: connections are made on another
     thread.
 
     Args:
-        options: with an address.
+        options: of the model.
     """
 
     def __init__(self, options: SharedOptions) -> None:
-        assert options.address is not None
         self._options = options
-        self._address: str = options.address
+        self._address = options.address or "on this machine"
+        self._local = LocalServer(options) if options.address is None else None
         self._lock = threading.Lock()
         self._session: ModelSession | None = None
         self._connecting: threading.Thread | None = None
@@ -79,22 +87,39 @@ class RemoteLink:
             try:
                 session = self._connect()
             except (OSError, NotReadyError) as error:
-                is_reached = isinstance(error, NotReadyError)
-                most_s = self._options.start_timeout_s if is_reached else _REACH_S
-                if time.monotonic() - begun_s > min(most_s, self._options.start_timeout_s):
-                    raise NotReadyError(
-                        f"The server {self._address} of the shared model "
-                        + ("was not ready" if is_reached else "cannot be reached")
-                        + f" within {most_s:g} s: {error}",
-                        hint="Is `roboneuron serve-policy` running there?",
-                    ) from error
-                self._end.wait(_LOOK_S)
+                self._check_patience(error, time.monotonic() - begun_s)
+                self._end.wait(_LOOK_S if self._local is None else _LOCAL_LOOK_S)
                 continue
             with self._lock:
                 self._session = session
-            sizes = session.welcome.image_sizes
-            self._coder = Coder(self._options, sizes, session.base_s, crops=session.welcome.crops)
-            return session.welcome
+            told = session.welcome
+            if self._local is None:
+                self._coder = Coder(
+                    self._options, told.image_sizes, session.base_s, crops=told.crops
+                )
+            return told
+
+    def _check_patience(self, error: OSError | NotReadyError, waited_s: float) -> None:
+        """Raise NotReadyError if a server that is not ready has been waited for long enough; start
+        a missing one on this machine.
+        """
+        is_reached, hint = isinstance(error, NotReadyError), "Is `roboneuron serve-policy` running?"
+        most_s = self._options.start_timeout_s
+        if self._local is not None:
+            hint = f"Its log is {self._local.path.with_suffix('.log')}."
+            if not is_reached:
+                self._local.start()
+            elif not isinstance(error, ModelLoadingError):
+                raise error
+        elif not is_reached:
+            most_s = min(_REACH_S, most_s)
+        if waited_s > most_s:
+            raise NotReadyError(
+                f"The server {self._address} of the shared model "
+                + ("was not ready" if is_reached else "cannot be reached")
+                + f" within {most_s:g} s: {error}",
+                hint=hint,
+            ) from error
 
     def describe(self, profile: RobotProfile) -> Welcome:
         """The server's description of its model for this robot; after `open`.
@@ -115,15 +140,15 @@ class RemoteLink:
             ) from error
 
     def ask(self, observation: Observation, deadline_s: float) -> ActionChunk:
-        """Request the answer to an observation; before the first one, the effect of coded images is
-        measured, see `Coder`.
+        """Request the answer to an observation. On this machine images are sent as they are; to an
+        address as a `Coder` decides, which measures its effect before the first one.
 
         Raises:
             ConfigurationError: the effect is too large.
             RoboNeuronError: as `exchange`.
         """
         if self._coder is None:
-            raise NotReadyError("The server of the shared model was not reached yet.")
+            return self.exchange(from_observation(observation), deadline_s)
         return self._coder.ask(observation, self.exchange, deadline_s)
 
     def exchange(self, observation: Document, deadline_s: float) -> ActionChunk:
@@ -172,11 +197,15 @@ class RemoteLink:
         removed.
         """
         now_s = time.monotonic()
-        if self._options.token_file is not None or now_s - self._looked_s < _KEYS_S:
+        if not self._has_link_keys or now_s - self._looked_s < _KEYS_S:
             return
         self._looked_s = now_s
         if link_stamps() != self._stamps:
             self._drop()
+
+    @property
+    def _has_link_keys(self) -> bool:
+        return self._local is None and self._options.token_file is None
 
     def _begin_connecting(self) -> None:
         if self._connecting is not None and self._connecting.is_alive():
@@ -192,9 +221,9 @@ class RemoteLink:
             try:
                 session = self._connect()
             except (OSError, RoboNeuronError) as error:
-                if str(error) != self._reason:
-                    self._reason = str(error)
-                    log.warning("No connection to %s: %s", self._address, error)
+                self._note(error)
+                if self._local is not None and isinstance(error, OSError):
+                    self._start_again(self._local)
             else:
                 with self._lock:
                     is_wanted = not self._end.is_set()
@@ -206,6 +235,17 @@ class RemoteLink:
             self._end.wait(pause_s)
             pause_s = min(2 * pause_s, _LAST_PAUSE_S)
 
+    def _start_again(self, server: LocalServer) -> None:
+        try:
+            server.start()
+        except ConfigurationError as error:
+            self._note(error)
+
+    def _note(self, error: Exception) -> None:
+        if str(error) != self._reason:
+            self._reason = str(error)
+            log.warning("No connection to the server %s: %s", self._address, error)
+
     def _connect(self) -> ModelSession:
         """Connect to a server that is ready.
 
@@ -215,13 +255,16 @@ class RemoteLink:
             NotReadyError: it is not ready.
             RoboNeuronError: its model could not be loaded.
         """
-        self._stamps = () if self._options.token_file is not None else link_stamps()
-        place = place_of(self._options)
-        connected = socket.create_connection((place.host, place.port), _CONNECT_S)
-        try:
-            connected = self._secured(connected, place)
+        self._stamps = link_stamps() if self._has_link_keys else ()
+        url, headers = "ws://localhost/", {}
+        if self._local is not None:
+            connected = self._local.connect()
+        else:
+            place = place_of(self._options)
+            connected = self._secured(place)
             headers = {"Authorization": authorization(place.token)} if place.token else {}
             url = f"ws://{self._address}/{self._options.model or ''}"
+        try:
             connection = PolicyConnection(connected, url, headers)
             begun_s = time.monotonic()
             welcome = self._greet(connection, begun_s + _GREET_S)
@@ -231,19 +274,20 @@ class RemoteLink:
             connected.close()
             raise
 
-    def _secured(self, connected: socket.socket, place: ServerAddress) -> socket.socket:
-        tune(connected, max(self._options.timeout_s, _LEAST_SILENT_S))
-        connected.settimeout(_CONNECT_S)
-        if place.context is None:
-            return connected
+    def _secured(self, place: ServerAddress) -> socket.socket:
+        connected = socket.create_connection((place.host, place.port), _CONNECT_S)
         try:
-            return place.context.wrap_socket(connected)
+            tune(connected, max(self._options.timeout_s, _LEAST_SILENT_S))
+            return connected if place.context is None else place.context.wrap_socket(connected)
         except ssl.SSLCertVerificationError as error:
             raise ConfigurationError(
                 f"The server {self._address} has sent a certificate that is not trusted: "
                 f"{error.verify_message}.",
                 hint="Is it the machine that was paired? Pair it again with `roboneuron link`.",
             ) from error
+        except BaseException:
+            connected.close()
+            raise
 
     def _greet(self, connection: PolicyConnection, deadline_s: float) -> Welcome:
         try:

@@ -5,16 +5,19 @@ from __future__ import annotations
 import hashlib
 import hmac
 import ipaddress
+import logging
 import os
 import secrets
 import socket
 import ssl
+import stat
 from asyncio.trsock import TransportSocket
 from collections.abc import Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
+from urllib.parse import urlsplit
 
 from rn_backend_openpi.shared_options import ListenOptions, SharedOptions
 from roboneuron import ConfigurationError, MissingDependencyError, install_command
@@ -22,8 +25,10 @@ from roboneuron import ConfigurationError, MissingDependencyError, install_comma
 if TYPE_CHECKING:
     from rn_link.machine import Machine
 
+log = logging.getLogger(__name__)
 LEAST_TOKEN = 16
 MOST_TOKEN = 1024
+_MOST_FILE = 4096
 _LINK_FILES = ("link.json", "own.pem", "own.key")
 _PAIR = "Pair the machines with `roboneuron link`, the robot's machine being the hub."
 
@@ -53,24 +58,30 @@ def is_loopback(host: str) -> bool:
 
 
 def read_token(path: Path) -> str:
-    """The token in a file.
+    """The token in a file, without the final line break.
 
     Raises:
-        ConfigurationError: it is missing, too short, or readable by others.
+        ConfigurationError: it cannot be read, is readable by others, or holds no token of 16 to
+            1024 printable ASCII characters.
     """
     try:
+        found = path.stat()
+        if not stat.S_ISREG(found.st_mode) or found.st_size > _MOST_FILE:
+            raise ConfigurationError(f"{path} is no small file with a token.")
         text = path.read_text(encoding="ascii").strip()
-        mode = path.stat().st_mode
     except (OSError, ValueError) as error:
         raise ConfigurationError(f"The token file {path} cannot be read: {error}.") from error
-    if mode & 0o077:
+    if found.st_mode & 0o077:
         raise ConfigurationError(
             f"Others may read the token file {path}.", hint=f"Type `chmod 600 {path}`."
         )
-    if not LEAST_TOKEN <= len(text) <= MOST_TOKEN:
+    is_printable = all("!" <= character <= "~" for character in text)
+    if not is_printable or not LEAST_TOKEN <= len(text) <= MOST_TOKEN:
         raise ConfigurationError(
             f"The token in {path} has {len(text)} characters, expected {LEAST_TOKEN} to "
-            f"{MOST_TOKEN}."
+            f"{MOST_TOKEN} printable ones without spaces.",
+            hint="Make one with: umask 077; python -c 'import secrets; "
+            f"print(secrets.token_urlsafe(32))' > {path}",
         )
     return text
 
@@ -90,8 +101,39 @@ def make_token(path: Path) -> str:
 
 def is_same_token(one: str, other: str) -> bool:
     """Compare in constant time."""
-    first, second = (hashlib.sha256(text.encode()).digest() for text in (one, other))
+    first, second = (
+        hashlib.sha256(text.encode(errors="replace")).digest() for text in (one, other)
+    )
     return hmac.compare_digest(first, second)
+
+
+def check_url(url: str, *, has_key: bool, allow_insecure_key: bool) -> str:
+    """Return a warning about `url`; empty for none.
+
+    Raises:
+        ConfigurationError: it has no host or holds a password, or a key would be sent unencrypted.
+    """
+    try:
+        parts = urlsplit(url)
+        host, _ = parts.hostname, parts.port
+    except ValueError as error:
+        raise ConfigurationError(f"The option 'url' cannot be read: {error}.") from error
+    if not host or parts.username is not None:
+        raise ConfigurationError(
+            "The option 'url' must name a host and hold no user or password.",
+            hint="A key goes into api_key_file.",
+        )
+    if parts.scheme == "wss" or is_loopback(host):
+        return ""
+    if has_key and not allow_insecure_key:
+        raise ConfigurationError(
+            f"The API key would travel unencrypted to {host}.",
+            hint="Use wss://, a tunnel, or allow_insecure_key = true.",
+        )
+    return (
+        f"the connection to {host} is not encrypted: anyone on the path can read the images and "
+        "change the robot's actions; use wss:// or a tunnel"
+    )
 
 
 def place_of(options: SharedOptions) -> ServerAddress:
@@ -196,32 +238,37 @@ class Guard:
         self.token = ""
         self._stamps: Sequence[object] = ()
         self._context: ssl.SSLContext | None = None
-        if options.keys == "token":
-            assert options.token_file is not None
-            if options.certificate is None and not is_loopback(options.host):
-                raise ConfigurationError(
-                    f"A token would be sent unencrypted to {options.host}.",
-                    hint="Name certificate and key in [listen], listen on 127.0.0.1, or use keys = "
-                    f"'link'. {_PAIR}",
-                )
-            self.token = make_token(options.token_file)
-            if options.certificate is not None:
-                self._context = _context(ssl.PROTOCOL_TLS_SERVER)
-                try:
-                    self._context.load_cert_chain(options.certificate, options.key)
-                except OSError as error:
-                    raise ConfigurationError(
-                        f"{options.certificate} and {options.key} cannot be used: {error}."
-                    ) from error
+        if options.keys != "link":
+            self._check_listening(options)
+            if options.token_file is not None:
+                self.token = make_token(options.token_file)
+            self._context = _server_context(options)
         else:
             self._stamps = link_stamps()
             self._context = _member_context()
+
+    def _check_listening(self, options: ListenOptions) -> None:
+        """Raise ConfigurationError if other machines could connect without a token or unencrypted,
+        unless that is wanted.
+        """
+        needed = {"token_file": options.token_file, "certificate": options.certificate}
+        lacks = " and ".join(name for name, given in needed.items() if given is None)
+        if not lacks or is_loopback(options.host):
+            return
+        if not options.insecure:
+            raise ConfigurationError(
+                f"{options.host} can be reached from other machines, and there is no {lacks}: a "
+                "token would be sent unencrypted, or anybody could read the images.",
+                hint=f"Set both, listen on 127.0.0.1, choose insecure = true, or use keys = "
+                f"'link'. {_PAIR}",
+            )
+        log.warning("%s can be reached from other machines without %s.", options.host, lacks)
 
     def has_changed(self) -> bool:
         """Load changes made by `roboneuron link`; returns True if there were any. Machines that are
         no longer paired are refused from now on.
         """
-        if self._options.keys == "token" or (stamps := link_stamps()) == self._stamps:
+        if self._options.keys != "link" or (stamps := link_stamps()) == self._stamps:
             return False
         self._stamps = stamps
         try:
@@ -249,6 +296,20 @@ class Guard:
 def authorization(token: str) -> str:
     """The header `Authorization` with a token, as openpi's clients send it."""
     return f"Api-Key {token}"
+
+
+def _server_context(options: ListenOptions) -> ssl.SSLContext | None:
+    if options.certificate is None:
+        return None
+    context = _context(ssl.PROTOCOL_TLS_SERVER)
+    try:
+        context.load_cert_chain(options.certificate, options.key)
+    except OSError as error:
+        key = f" and {options.key}" if options.key is not None else ""
+        raise ConfigurationError(
+            f"The certificate {options.certificate}{key} cannot be used: {error}."
+        ) from error
+    return context
 
 
 def _member_context() -> ssl.SSLContext:

@@ -9,6 +9,7 @@ import signal
 import sys
 import tomllib
 from argparse import ArgumentParser, Namespace
+from collections.abc import Callable
 from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
@@ -73,27 +74,39 @@ class ServePolicyCommand:
         if arguments.action in _FILES:
             print(deployment_file(arguments.action, arguments.config), end="")
             return 0
-        from rn_backend_openpi.links import private_directory
-
         options = read_options(arguments)
-        folder = private_directory(options.listen.directory)
         name = name_of(arguments.config)
         if arguments.action == "status":
+            from rn_backend_openpi.links import private_directory
             from rn_backend_openpi.status_page import ask_status
 
-            told = ask_status(folder / f"{name}.sock")
+            told = ask_status(private_directory(options.listen.directory) / f"{name}.sock")
             print(json.dumps(told, indent=2) if arguments.json else table_of(told))
             return 0
-        from rn_backend_openpi.front import PolicyServer
-        from roboneuron.command import HangWatch
+        return run_server(options, name)
 
-        HangWatch().start()
-        logging.basicConfig(format="%(asctime)s %(message)s")  # -v and -q have set up another log
-        logging.getLogger("rn_backend_openpi").setLevel(logging.INFO)
-        server = PolicyServer(options, folder, name)
-        for number in (signal.SIGTERM, signal.SIGINT):
-            signal.signal(number, lambda *_: server.stop())
-        return server.run()
+
+def run_server(
+    options: PolicyServerOptions, name: str, tell: Callable[[int], object] = lambda port: None
+) -> int:
+    """Serve in this process until SIGTERM or SIGINT; returns the exit status.
+
+    Args:
+        options: those of the server.
+        name: its name among others of this user.
+        tell: called with the port once all models are ready.
+    """
+    from rn_backend_openpi.front import PolicyServer
+    from rn_backend_openpi.links import private_directory
+    from roboneuron.command import HangWatch
+
+    HangWatch().start()
+    logging.basicConfig(format="%(asctime)s %(message)s")  # -v and -q have set up another log
+    logging.getLogger("rn_backend_openpi").setLevel(logging.INFO)
+    server = PolicyServer(options, private_directory(options.listen.directory), name, tell)
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: server.stop())
+    return server.run()
 
 
 def deployment_file(action: str, config: Path) -> str:

@@ -224,9 +224,13 @@ class ModelSession:
         self._connection.close()
 
 
+class ModelLoadingError(NotReadyError):
+    """The model of the server is being loaded."""
+
+
 def check_ready(welcome: Welcome) -> None:
-    """Raise the error of a server that failed, or NotReadyError if it is not ready yet."""
+    """Raise the error of a server that failed, or ModelLoadingError if it is not ready yet."""
     if welcome.failure is not None:
         messages.raise_told(welcome.failure)
     if welcome.state != READY:
-        raise NotReadyError("The shared model is being loaded.")
+        raise ModelLoadingError("The shared model is being loaded.")

@@ -6,10 +6,9 @@ import time
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from rn_backend_openpi.links import Links
 from rn_backend_openpi.messages import raise_told
 from rn_backend_openpi.plugin import SHARED
-from rn_backend_openpi.remote import RemoteLink
+from rn_backend_openpi.remote import ModelLink
 from rn_backend_openpi.session import Welcome
 from rn_backend_openpi.shared_options import SharedOptions
 from roboneuron import (
@@ -33,7 +32,7 @@ class SharedBackend:
         self, config: SharedOptions, *, runtime: object = None, acceleration: object = None
     ) -> None:
         self._options = config
-        self._links: Links | RemoteLink | None = None
+        self._link: ModelLink | None = None
         self._welcome: Welcome | None = None
 
     def load(self) -> None:
@@ -43,16 +42,15 @@ class SharedBackend:
             NotReadyError: it was not ready in time.
             RoboNeuronError: the error of its backend if it could not load the model.
         """
-        if self._links is not None:
+        if self._link is not None:
             raise StateError("Backend 'shared' is loaded already; close it first.")
-        options = self._options
-        links = Links(options) if options.address is None else RemoteLink(options)
+        link = ModelLink(self._options)
         try:
-            self._welcome = links.open()
+            self._welcome = link.open()
         except BaseException:
-            links.close()
+            link.close()
             raise
-        self._links = links
+        self._link = link
 
     def served_spec(self, profile: RobotProfile) -> tuple[BackendSpec, ControlSpace] | None:
         """Descriptor and control space of a model on another machine, requested from its server for
@@ -63,9 +61,9 @@ class SharedBackend:
             RoboNeuronError: the error of its backend if this robot cannot use the model.
             ConfigurationError: the server gives no control space.
         """
-        if not isinstance(self._links, RemoteLink):
+        if self._link is None or self._options.address is None:
             return None
-        told = self._links.describe(profile)
+        told = self._link.describe(profile)
         if told.refusal is not None:
             raise_told(told.refusal)
         if told.space is None:
@@ -94,7 +92,7 @@ class SharedBackend:
             UnsafeError: the state is not finite.
             RoboNeuronError: the model's error for this observation.
         """
-        if self._links is None or self._welcome is None:
+        if self._link is None or self._welcome is None:
             raise StateError("Backend 'shared' is not loaded; call load first.")
         needed, frames = ("primary", *self._welcome.cameras), observation.frames
         lacking = [role for role in needed if role not in frames]
@@ -107,16 +105,16 @@ class SharedBackend:
             seen = {role: frame for role, frame in frames.items() if role in used}
             observation = replace(observation, frames=seen)
         deadline_s = time.monotonic() + self._options.timeout_s
-        return self._links.ask(observation, deadline_s)
+        return self._link.ask(observation, deadline_s)
 
     def reset(self) -> None:
         """Nothing to do: only models without a history can be shared."""
 
     def close(self) -> None:
         """Disconnect; idempotent."""
-        links, self._links = self._links, None
-        if links is not None:
-            links.close()
+        link, self._link = self._link, None
+        if link is not None:
+            link.close()
 
 
 if TYPE_CHECKING:

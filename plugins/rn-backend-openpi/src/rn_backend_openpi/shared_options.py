@@ -9,6 +9,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
+from rn_backend_openpi.options import InterfaceOptions
 from roboneuron import MAX_SIDE_PX, ConfigurationOnly
 
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9-]*$", max_length=64)]
@@ -62,6 +63,10 @@ class ModelOptions(BaseModel):
     """Largest number of queued observations; further ones are refused at once."""
     linger_s: Annotated[float, Field(ge=0, le=0.1, allow_inf_nan=False)] = 0.003
     """Time that an idle server waits for other robots before it answers the first one alone."""
+    interface: Annotated[InterfaceOptions | None, ConfigurationOnly()] = None
+    """For clients of openpi's kind: what their requests hold and what the answers mean, see the
+    README. If unset: the state by name, and rows as the backend writes them.
+    """
     python: Annotated[Path | None, ConfigurationOnly()] = None
     """Interpreter of the servers; by default that of this process."""
     environment: Annotated[dict[str, str], ConfigurationOnly()] = {}
@@ -165,7 +170,7 @@ class ServedModelOptions(ModelOptions):
 
     def shared(self) -> SharedOptions:
         """The options of the model's process."""
-        own = self.model_dump(include=set(ModelOptions.model_fields))
+        own = self.model_dump(include=set(ModelOptions.model_fields), exclude_unset=True)
         return SharedOptions.model_validate({**own, "backend": self.backend})
 
 
@@ -180,18 +185,20 @@ class ListenOptions(BaseModel):
     """Address to listen on."""
     port: Annotated[int, Field(ge=0, le=65535)] = 7420
     """TCP port; 0 for a free one."""
-    keys: Literal["link", "token"] = "link"
+    keys: Literal["link", "token", "none"] = "link"
     """`link`: both sides use the keys of `roboneuron link` (mutual TLS 1.3). `token`: robots send a
-    token.
+    token. `none`: anybody who reaches the address.
     """
+    insecure: bool = False
+    """Listen beyond loopback without token and certificate; logged."""
     token_file: Path | None = None
     """With `token`: its file, readable only by this user; created if missing."""
     certificate: Path | None = None
-    """With `token`: the server's certificate chain (PEM), required unless it listens on
+    """Without `link`: the server's certificate chain (PEM), required unless it listens on
     loopback.
     """
     key: Path | None = None
-    """Its key (PEM)."""
+    """Its key (PEM); read from `certificate` if unset."""
     metrics_port: Annotated[int | None, Field(ge=0, le=65535)] = None
     """Port of Prometheus metrics, usually 9465; 0 for a free one. If unset: no metrics are
     served.
@@ -207,10 +214,12 @@ class ListenOptions(BaseModel):
     def _check_keys(self) -> Self:
         if self.keys == "token" and self.token_file is None:
             raise ValueError("keys = 'token' needs a token_file")
-        if self.keys == "link" and (self.token_file or self.certificate or self.key):
-            raise ValueError("token_file, certificate and key belong to keys = 'token'")
-        if (self.certificate is None) != (self.key is None):
-            raise ValueError("certificate and key come together")
+        if self.keys != "token" and self.token_file is not None:
+            raise ValueError("token_file belongs to keys = 'token'")
+        if self.keys == "link" and (self.certificate or self.key or self.insecure):
+            raise ValueError("certificate, key and insecure do not go with keys = 'link'")
+        if self.certificate is None and self.key is not None:
+            raise ValueError("key has no use without certificate")
         return self
 
 
