@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cache
 from types import SimpleNamespace
@@ -39,6 +40,7 @@ from roboneuron.supervisor.changes import Event
 from roboneuron.tools.inspect.sight_feature import Sight
 
 CAMERAS = {"above": overhead_camera(), "side": side_camera()}
+PERIOD_S = 0.02
 GRIPPER = GripperProfile(joint="finger", closed_position=0.0, open_position=0.04)
 
 
@@ -101,6 +103,7 @@ class PaintedCell:
         perception, robot, control: phases of the modules.
         depths: message of each camera's depth.
         locator: the chosen one.
+        takers: the end of each topic that is subscribed to, and what takes its messages.
         patches: rows and columns of a camera's pictures that something grey covers.
         light: factors of red, green and blue of the lamp over the table.
         events: of the host.
@@ -119,8 +122,9 @@ class PaintedCell:
     control: str = "running"
     depths: dict[str, Any] = field(default_factory=dict)
     locator: LocatorSpec = LOCATORS[0]
-    takers: dict[str, Callable[[Any], None]] = field(default_factory=dict)
-    topics: list[str] = field(default_factory=list)
+    takers: list[tuple[str, Callable[[Any], None]]] = field(default_factory=list)
+    lock: Any = field(default_factory=threading.Lock)
+    sending: threading.Thread | None = None
     patches: dict[str, tuple[slice, slice]] = field(default_factory=dict)
     light: tuple[float, float, float] = (1.0, 1.0, 1.0)
     events: Any = field(default_factory=lambda: SimpleNamespace(change=Event(), call_ended=Event()))
@@ -163,6 +167,9 @@ class PaintedCell:
 
     @property
     def exposed(self) -> list[Any]:
+        """Asked for at the beginning of a look: what is being sent shows the cell of before."""
+        with self.lock:
+            pass
         return [SimpleNamespace(robot="painted", namespace="painted", profile=self.profile())]
 
     def joints(self, exposed: Any, timeout_s: float = 0.0) -> Any:
@@ -172,30 +179,50 @@ class PaintedCell:
     def subscribe(
         self, kind: Any, topic: str, take: Callable[[Any], None], **_: Any
     ) -> Callable[[], None]:
-        self.topics.append(topic)
-        part = topic.removeprefix("/painted/")
+        """Its messages come again and again, on a thread, until it ends."""
+        taker = (topic.removeprefix("/painted/"), take)
+        with self.lock:
+            self.takers.append(taker)
+            self._send(*taker)
+            if self.sending is None or not self.sending.is_alive():
+                self.sending = threading.Thread(target=self._keep_sending, daemon=True)
+                self.sending.start()
+
+        def end() -> None:
+            with self.lock:
+                self.takers.remove(taker)
+
+        return end
+
+    def _keep_sending(self) -> None:
+        while True:
+            time.sleep(PERIOD_S)
+            with self.lock:
+                if not self.takers:
+                    return
+                for taker in self.takers:
+                    self._send(*taker)
+
+    def _send(self, part: str, take: Callable[[Any], None]) -> None:
+        """The next message of a topic."""
         if part.endswith("ee_pose"):
             arm = part.removesuffix("ee_pose").rstrip("/")
             for name in self.ages_s:  # painted before the pose is stamped: it takes long
                 picture(name, tuple(self.cubes.items()))
             if arm in self.tcps:
                 take(pose_message(self.tcps[arm]))
-        elif part.endswith("depth"):
-            self.takers[part.split("/")[1]] = take
         elif part.endswith("image"):
             name = part.split("/")[1]
             if name in self.ages_s:
                 image = picture(name, tuple(self.cubes.items())).copy()
                 if name in self.patches:
                     image[self.patches[name]] = 120
-                image = (image * self.light).astype(np.uint8)
-                made = message(image, self.ages_s[name])
-                if name in self.takers:
-                    depth = self.depths[name]
+                made = message((image * self.light).astype(np.uint8), self.ages_s[name])
+                for _, take_depth in [t for t in self.takers if t[0] == f"camera/{name}/depth"]:
+                    depth = copy(self.depths[name])
                     depth.header = made.header if depth.header is None else depth.header
-                    self.takers[name](depth)
+                    take_depth(depth)
                 take(made)
-        return lambda: self.topics.remove(topic)
 
     def view(self, kind: str) -> Any:
         phases = {"perception": self.perception, "robot": self.robot, "control": self.control}

@@ -15,6 +15,7 @@ from painted_cell import PaintedCell
 from PIL import Image
 
 from rn_testing.fakes.painted_table import overhead_camera, painted, side_camera
+from rn_testing.waiting import wait_until
 from roboneuron import (
     CalibratedImage,
     CameraView,
@@ -24,6 +25,7 @@ from roboneuron import (
     RefusedError,
 )
 from roboneuron.sight import marks
+from roboneuron.sight.cell_view import CellViews
 from roboneuron.sight.marks import (
     find_object,
     label_boxes,
@@ -217,10 +219,32 @@ def test_the_hand_says_what_it_holds(
     assert hand["holds"] == ("red cube" if holding else "")
 
 
-def test_nothing_is_subscribed_after_a_look() -> None:
+def test_subscriptions_stay_for_the_next_look_and_end_when_nobody_looks() -> None:
     cell = PaintedCell(cubes=CUBES)
-    look(cell)
-    assert cell.topics == []
+    views = CellViews(cell.host, kept_s=0.3)
+    views.take(None, table_m=0.0)
+    first = list(cell.takers)
+    views.take(None, table_m=0.0)
+    assert cell.takers == first
+    assert first
+    views.renew()
+    views.take(None, table_m=0.0)
+    assert len(cell.takers) == len(first)
+    assert cell.takers != first, "a module was changed: what it sent may not hold any more"
+    wait_until(lambda: not cell.takers, 10.0, "the subscriptions end")
+
+
+def test_a_picture_from_before_the_look_is_not_shown() -> None:
+    cell = PaintedCell(cubes=CUBES)
+    views, profile = CellViews(cell.host), cell.profile()
+    assert len(views.take(profile, table_m=0.0).images) == 2
+    with cell.lock:
+        cell.ages_s = {"above": 0.0}
+    view = views.take(profile, table_m=0.0, wait_s=0.3)
+    assert [image.frame.camera for image in view.images] == ["above"]
+    assert view.problems.keys() == {"side"}
+    views.close()
+    assert not cell.takers
 
 
 def locate(cell: PaintedCell, **arguments: Any) -> Any:

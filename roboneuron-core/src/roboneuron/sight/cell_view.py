@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -28,6 +28,10 @@ _OLDEST_S = 2.0
 """Older pictures do not tell where things are now."""
 _WAIT_S = 0.8
 _POLL_S = 0.01
+_KEPT_S = 5.0
+"""Time that subscriptions stay after a view: an agent that works looks again within seconds, and
+decoding pictures that nobody looks at costs time.
+"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -70,18 +74,21 @@ class _Poses:
 
 
 class _CellWatch:
-    """Subscriptions to the cameras and arms of a robot, for one view."""
+    """Subscriptions to the cameras and arms of a robot.
 
-    def __init__(
-        self, host: Host, profile: RobotProfile | None, newer_than_ns: int, table_m: float
-    ) -> None:
-        self._host, self._profile, self._newer_than_ns = host, profile, newer_than_ns
+    Attributes:
+        profile: of the robot.
+        cameras: those that it subscribes to.
+        deep: those of them whose depth it subscribes to.
+    """
+
+    def __init__(self, host: Host, profile: RobotProfile | None, table_m: float) -> None:
+        self._host, self.profile = host, profile
         self._table_m = table_m
         self._space = host.config.namespace
         self.inputs = Inputs(host, age_factor=np.inf)
-        self._cameras = tuple(host.loop.camera_roles())
-        self._deep: set[str] = set()
-        self._oldest_s = np.inf if host.clock(self._space).stands else _OLDEST_S
+        self.cameras = tuple(host.loop.camera_roles())
+        self.deep = deep_cameras(host, self.cameras)
         arms = () if profile is None else profile.each_arm
         self._arms = tuple(dict.fromkeys(["", *(arm.name for arm in arms)]))
         self._poses = {arm: _Poses() for arm in self._arms}
@@ -91,16 +98,19 @@ class _CellWatch:
         for arm, poses in self._poses.items():
             topic = pose_topic(self._space, arm)
             self.inputs.open(topic, "geometry_msgs/msg/PoseStamped", poses.add)
-        for camera in self._cameras:
+        for camera in self.cameras:
             topic = image_topic(self._space, camera)
-            if self._host.graph.publishers(depth_topic(topic)):
-                self._deep.add(camera)
-            self.inputs.open_camera(topic, with_depth=camera in self._deep)
+            self.inputs.open_camera(topic, with_depth=camera in self.deep)
 
-    def view(self) -> CellView:
-        """What has arrived so far."""
-        found = {camera: self._judge(camera) for camera in self._cameras}
-        frames = {camera: self._frame(camera) for camera in self._cameras}
+    def view(self, newer_than_ns: int, since_s: float) -> CellView:
+        """What has arrived so far.
+
+        Args:
+            newer_than_ns: only pictures taken later, ROS clock [ns].
+            since_s: only pictures that have arrived since then, monotonic [s].
+        """
+        frames = {camera: self._frame(camera, newer_than_ns, since_s) for camera in self.cameras}
+        found = {camera: self._judge(frame) for camera, frame in frames.items()}
         return CellView(
             images=tuple(one for one in found.values() if isinstance(one, CalibratedImage)),
             frames=tuple(one for one in frames.values() if isinstance(one, Frame)),
@@ -113,29 +123,30 @@ class _CellWatch:
     def is_complete(self, view: CellView) -> bool:
         """True if waiting longer does not help: what is missing was never calibrated."""
         bare = {frame.camera for frame in view.frames if not self._is_mounted(frame.camera)}
-        late = {frame.camera for frame in view.frames if frame.depth_m is None} & self._deep
+        late = {frame.camera for frame in view.frames if frame.depth_m is None} & self.deep
         return view.problems.keys() <= bare and not late
 
     def _is_mounted(self, camera: str) -> bool:
-        known = None if self._profile is None else self._profile.camera(camera)
+        known = None if self.profile is None else self.profile.camera(camera)
         return known is not None and known.calibration is not None
 
-    def _frame(self, camera: str) -> Frame | str:
+    def _frame(self, camera: str, newer_than_ns: int, since_s: float) -> Frame | str:
         """The newest picture, or why there is none."""
         topic = image_topic(self._space, camera)
-        frame = self.inputs.frame(topic, camera, self._profile)
+        if stands := self._host.clock(self._space).stands:
+            since_s = -np.inf  # nothing changes until it goes on
+        frame = self.inputs.frame(topic, camera, self.profile, since_s)
         if frame is None:
             return f"It sends no picture. {why_no_image(self._host)}"
         age_s = (time.time_ns() - frame.stamp_ns) / 1e9
-        if age_s > self._oldest_s:
+        if age_s > _OLDEST_S and not stands:
             return f"Its newest picture is {age_s:.1f} s old. See get_status, perception."
-        if frame.stamp_ns <= self._newer_than_ns:
+        if frame.stamp_ns <= newer_than_ns:
             return "It has sent no picture since the motion. Call look again."
         return frame
 
-    def _judge(self, camera: str) -> CalibratedImage | str:
+    def _judge(self, frame: Frame | str) -> CalibratedImage | str:
         """The placed picture of a camera, or why there is none."""
-        frame = self._frame(camera)
         if isinstance(frame, str):
             return frame
         calibration = frame.calibration
@@ -158,41 +169,116 @@ class _CellWatch:
 
     def _tcps(self) -> dict[str, Pose]:
         poses = {arm: pose_of(self.inputs.last(pose_topic(self._space, arm))) for arm in self._arms}
-        several = self._profile is not None and bool(self._profile.arms)
+        several = self.profile is not None and bool(self.profile.arms)
         return {
             arm: pose for arm, pose in poses.items() if pose is not None and (arm or not several)
         }
 
 
-def take_view(
-    host: Host,
-    profile: RobotProfile | None,
-    *,
-    table_m: float,
-    newer_than_ns: int = 0,
-    wait_s: float = _WAIT_S,
-) -> CellView:
-    """Take the next picture of each camera; blocks until all have one with a known place, and for
-    at most `wait_s`.
+def deep_cameras(host: Host, cameras: Iterable[str]) -> set[str]:
+    """Those of the cameras whose depth is published."""
+    topics = {camera: image_topic(host.config.namespace, camera) for camera in cameras}
+    return {one for one, topic in topics.items() if host.graph.publishers(depth_topic(topic))}
 
-    Args:
-        host: of the feature.
-        profile: of the present robot; without one no camera is calibrated.
-        table_m: height of the table's top in the base frame [m].
-        newer_than_ns: only pictures taken later, ROS clock [ns].
-        wait_s: longest wait [s].
 
-    Raises:
-        RoboNeuronError: ROS cannot be joined.
+class CellViews:
+    """Views of the cell of a robot. The subscriptions stay for some seconds after a view: the next
+    one need not wait until its publishers know of it. Usable from any thread.
     """
-    watch = _CellWatch(host, profile, newer_than_ns, table_m)
-    deadline_s = time.monotonic() + wait_s
-    try:
-        watch.open()
-        view = watch.view()
-        while not watch.is_complete(view) and time.monotonic() < deadline_s:
-            time.sleep(_POLL_S)
-            view = watch.view()
-        return view
-    finally:
-        watch.inputs.close()
+
+    def __init__(self, host: Host, kept_s: float = _KEPT_S) -> None:
+        """Args:
+        host: of the feature.
+        kept_s: time that subscriptions stay after a view [s].
+        """
+        self._host, self._kept_s = host, kept_s
+        self._lock = threading.Lock()
+        self._watch: _CellWatch | None = None
+        self._is_outdated = False
+        self._users = 0
+        self._end: threading.Timer | None = None
+
+    def take(
+        self,
+        profile: RobotProfile | None,
+        *,
+        table_m: float,
+        newer_than_ns: int = 0,
+        wait_s: float = _WAIT_S,
+    ) -> CellView:
+        """Take the next picture of each camera; blocks until all have one with a known place, and
+        for at most `wait_s`.
+
+        Args:
+            profile: of the present robot; without one no camera is calibrated.
+            table_m: height of the table's top in the base frame [m].
+            newer_than_ns: only pictures taken later, ROS clock [ns].
+            wait_s: longest wait [s].
+
+        Raises:
+            RoboNeuronError: ROS cannot be joined.
+        """
+        began_s = time.monotonic()
+        with self._lock:
+            watch = self._opened(profile, table_m)
+            self._users += 1
+        try:
+            view = watch.view(newer_than_ns, began_s)
+            while not watch.is_complete(view) and time.monotonic() < began_s + wait_s:
+                time.sleep(_POLL_S)
+                view = watch.view(newer_than_ns, began_s)
+            return view
+        finally:
+            with self._lock:
+                self._users -= 1
+                self._end_later()
+
+    def renew(self) -> None:
+        """Subscribe anew for the next view: what was received may not hold any more. Returns at
+        once, so that the thread of the ROS node may call it.
+        """
+        self._is_outdated = True
+
+    def close(self) -> None:
+        """Unsubscribe; idempotent."""
+        with self._lock:
+            if self._end is not None:
+                self._end.cancel()
+            self._close()
+
+    def _opened(self, profile: RobotProfile | None, table_m: float) -> _CellWatch:
+        """The watch of a profile. Raises RoboNeuronError."""
+        if self._end is not None:
+            self._end.cancel()
+        watch = self._watch
+        if watch is not None and watch.profile is profile and not self._is_outdated:
+            cameras = tuple(self._host.loop.camera_roles())
+            if watch.cameras == cameras and watch.deep == deep_cameras(self._host, cameras):
+                return watch
+        self._close()
+        self._is_outdated = False
+        watch = _CellWatch(self._host, profile, table_m)
+        try:
+            watch.open()
+        except BaseException:
+            watch.inputs.close()
+            raise
+        self._watch = watch
+        return watch
+
+    def _end_later(self) -> None:
+        if self._end is not None:
+            self._end.cancel()
+        self._end = threading.Timer(self._kept_s, self._end_unused)
+        self._end.daemon = True
+        self._end.start()
+
+    def _end_unused(self) -> None:
+        with self._lock:
+            if not self._users:
+                self._close()
+
+    def _close(self) -> None:
+        if self._watch is not None:
+            self._watch.inputs.close()
+        self._watch = None

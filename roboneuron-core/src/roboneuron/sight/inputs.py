@@ -102,12 +102,18 @@ class Inputs:
         found = self._newest.get(topic)
         return None if found is None else found[1]
 
-    def frame(self, topic: str, camera: str, profile: RobotProfile | None) -> Frame | None:
+    def frame(
+        self,
+        topic: str,
+        camera: str,
+        profile: RobotProfile | None,
+        since_s: float = -np.inf,
+    ) -> Frame | None:
         """The newest image of a camera, with the calibration of the profile and the depth of the
-        same time if it has come; None if it is too old.
+        same time if it has come; None if it is too old, or came before `since_s`, monotonic [s].
         """
         message = self.newest(topic, _IMAGE_AGE_S)
-        if message is None:
+        if message is None or self._newest[topic][0] < since_s:
             return None
         stamp_ns = _stamp_ns(message.header.stamp)
         depths = list(self._depths.get(topic, ()))

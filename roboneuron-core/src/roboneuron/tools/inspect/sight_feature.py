@@ -26,7 +26,7 @@ from roboneuron.server.host import Host
 from roboneuron.server.interception import EndedCall
 from roboneuron.server.motion_gate import ExposedEndpoint
 from roboneuron.server.tool import Tool
-from roboneuron.sight.cell_view import take_view
+from roboneuron.sight.cell_view import CellViews
 from roboneuron.sight.locator_process import LocatorProcess
 from roboneuron.sight.marks import CellLook
 from roboneuron.sight.memory import SightMemory
@@ -54,6 +54,7 @@ class Sight(Feature[SightOptions]):
     def tools(self, host: Host) -> Sequence[Tool[Any]]:
         """look and locate."""
         self._host = host
+        self._views = CellViews(host)
         host.events.change.listen(self._on_change)
         host.events.call_ended.listen(self._on_call)
         return [
@@ -95,9 +96,7 @@ class Sight(Feature[SightOptions]):
             changes = self._changes
         exposed = self._arm()
         profile = None if exposed is None else exposed.profile
-        view = take_view(
-            self._host, profile, table_m=self.options.table_m, newer_than_ns=newer_than_ns
-        )
+        view = self._views.take(profile, table_m=self.options.table_m, newer_than_ns=newer_than_ns)
         hands = hands_in(self._host, exposed, view)
         found: tuple[LocatedObject, ...] = ()
         failure = ""
@@ -145,7 +144,10 @@ class Sight(Feature[SightOptions]):
             self._memory.forget(one)
 
     def _on_change(self, kind: ModuleKind) -> None:
-        """Forget the table when the robot stops: a simulated one is reset."""
+        """Forget the pictures and poses of a module that was changed, and the table when the robot
+        stops: a simulated one is reset.
+        """
+        self._views.renew()
         if kind == "robot" and self._host.modules.view("robot").phase != "running":
             self._forget_all()
 
@@ -177,6 +179,7 @@ class Sight(Feature[SightOptions]):
 
     def close(self) -> None:
         """See Feature; a locator that does not return within `_CLOSE_S` ends with the process."""
+        self._views.close()
         if not self._locating.acquire(timeout=_CLOSE_S):
             log.warning("The locator %s has not returned; it is left.", self.options.locator)
             return
