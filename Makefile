@@ -26,11 +26,11 @@ ALL_PACKAGES := roboneuron-core $(sort $(wildcard plugins/rn-*)) .
 # It compiles ROS 2 types and needs a C++ compiler; without one the rest works, and its tests are skipped.
 COMPILED := plugins/rn-driver-ros2control
 comma := ,
-WITH_EXTRAS := $(patsubst %/rn-backend-pi0,'%/rn-backend-pi0[native]',\
+WITH_EXTRAS := $(patsubst %/rn-backend-openpi,'%/rn-backend-openpi[ray]',$(patsubst %/rn-backend-pi0,'%/rn-backend-pi0[native]',\
   $(patsubst %/rn-recorder,'%/rn-recorder[export]',\
   $(patsubst %/rn-locator-transformers,'%/rn-locator-transformers[detectors]',\
   $(patsubst %/rn-perception-camera,'%/rn-perception-camera[video]',\
-  $(patsubst %/rn-eval,'%/rn-eval[ray$(comma)serve]',$(patsubst %/rn-metrics,'%/rn-metrics[otlp]',$(filter-out $(COMPILED),$(ALL_PACKAGES))))))))
+  $(patsubst %/rn-eval,'%/rn-eval[ray$(comma)serve]',$(patsubst %/rn-metrics,'%/rn-metrics[otlp]',$(filter-out $(COMPILED),$(ALL_PACKAGES)))))))))
 SOURCES := $(wildcard $(addsuffix /src,$(ALL_PACKAGES)))
 PROJECTS := $(addsuffix /pyproject.toml,$(ALL_PACKAGES)) constraints.txt requirements.txt
 

@@ -110,6 +110,11 @@ class Batcher:
         """Number of queued observations."""
         return len(self._waiting)
 
+    @property
+    def is_alive(self) -> bool:
+        """True while the thread answers."""
+        return self._thread.is_alive()
+
     def start(self) -> None:
         """Start answering."""
         self._thread.start()

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import time
 from collections.abc import Callable, Coroutine, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import ConnectionClosed
@@ -119,8 +120,7 @@ async def converse(connection: ServerConnection, conversation: Conversation) -> 
         pass
     except RoboNeuronError as error:
         log.warning("%s is dropped: %s", peer, error)
-        told = str(error) if isinstance(error, _TOLD) else "see the server's log."
-        await _fail(connection, f"{type(error).__name__}: {told}")
+        await _fail(connection, told_of(error))
     except Exception:  # the border to one client: the others continue
         log.exception("%s is dropped.", peer)
         await _fail(connection, "InternalError: see the server's log.")
@@ -145,6 +145,19 @@ async def _answer(
     previous: dict[str, float],
 ) -> None:
     """Answer one request; `previous` is the timing of the one before, which openpi sends too."""
+    began_s = time.monotonic()
+    reply = await answered(conversation, request)
+    reply["server_timing"] |= previous
+    await send(connection, pack(reply), SEND_S)
+    previous["prev_total_ms"] = (time.monotonic() - began_s) * 1e3
+
+
+async def answered(conversation: Conversation, request: PolicyRequest) -> dict[str, Any]:
+    """The answer to a request as a message, with the time that it took.
+
+    Raises:
+        RoboNeuronError: as `Conversation.reply`.
+    """
     loop = asyncio.get_running_loop()
     began_s = loop.time()
     told: asyncio.Future[Answer] = loop.create_future()
@@ -166,10 +179,8 @@ async def _answer(
         answer = NotReadyError("The model gave no answer before the deadline.")
     except RoboNeuronError as error:
         answer = error
-    reply = {**conversation.reply(answer, request)}
-    reply["server_timing"] = {"infer_ms": (loop.time() - began_s) * 1e3, **previous}
-    await send(connection, pack(reply), SEND_S)
-    previous["prev_total_ms"] = (loop.time() - began_s) * 1e3
+    timing = {"infer_ms": (loop.time() - began_s) * 1e3}
+    return {**conversation.reply(answer, request), "server_timing": timing}
 
 
 async def _guarded(connection: ServerConnection, answering: Coroutine[None, None, None]) -> None:
@@ -181,6 +192,12 @@ async def _guarded(connection: ServerConnection, answering: Coroutine[None, None
     except Exception:  # the border to one client: the others continue
         log.exception("%s is dropped.", connection.remote_address)
         connection.transport.abort()
+
+
+def told_of(error: RoboNeuronError) -> str:
+    """Text of an error for the client, which is disconnected."""
+    told = str(error) if isinstance(error, _TOLD) else "see the server's log."
+    return f"{type(error).__name__}: {told}"
 
 
 async def _fail(connection: ServerConnection, text: str) -> None:

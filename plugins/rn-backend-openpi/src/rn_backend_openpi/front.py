@@ -11,36 +11,31 @@ import os
 import socket
 import threading
 import time
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from http import HTTPStatus
 from pathlib import Path
+from typing import Protocol
 
-from websockets.asyncio.client import ClientConnection, unix_connect
 from websockets.asyncio.server import Server, ServerConnection
-from websockets.exceptions import ConnectionClosed, InvalidHandshake
-from websockets.frames import CloseCode
+from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request
-from websockets.protocol import State
 
-from rn_backend_openpi.listener import Listener, send
-from rn_backend_openpi.messages import RESERVED, Document
+from rn_backend_openpi.listener import Listener
+from rn_backend_openpi.messages import Document
 from rn_backend_openpi.processes import ModelProcess
 from rn_backend_openpi.security import Guard, valid_until
 from rn_backend_openpi.session import READY
-from rn_backend_openpi.shared_options import PolicyServerOptions
+from rn_backend_openpi.shared_options import PolicyServerOptions, ServedModelOptions
 from rn_backend_openpi.statistics import Times
 from rn_backend_openpi.status_page import STATUS, page
-from rn_backend_openpi.wire import MOST_BYTES, pack
 from roboneuron import ConfigurationError, ForeignDataError
 
 log = logging.getLogger(__name__)
 HEALTH = "/healthz"
 """Page for a balancer: status 200 if every model is ready, otherwise 503."""
-SEND_S = 2.0
-_REACH_S = 1.0
 _LOOK_S = 0.1
 _KEYS_LOOK_S = 0.5
 _TELL_S = 10.0
@@ -49,14 +44,48 @@ _BACKLOG = 1024
 _PROBE_S = 0.5
 
 
+class RelayedModel(Protocol):
+    """One model of a server, used from `start` to `close`."""
+
+    name: str
+
+    @property
+    def state(self) -> str:
+        """`LOADING`, `READY`, `FAILED` or `DEAD`."""
+
+    def start(self) -> None:
+        """Start loading; returns at once."""
+
+    def stop(self) -> None:
+        """Request the end."""
+
+    def close(self) -> None:
+        """End, and wait for it; idempotent."""
+
+    def status(self) -> Document:
+        """Statistics."""
+
+    async def relay(self, robot: ServerConnection, note: Callable[[float], None]) -> int:
+        """Answer a robot until it disconnects; returns the number of lost observations.
+
+        Args:
+            robot: its connection.
+            note: called with the time of each answer [s].
+        """
+
+
+MakeModel = Callable[[str, ServedModelOptions, Path], RelayedModel]
+
+
 class PolicyServer:
-    """Serves several models, each in its own process, to authenticated robots.
+    """Serves several models to authenticated robots.
 
     Args:
         options: options of the server.
         folder: folder for sockets and logs, accessible only to this user.
         name: name of the server among others in the folder.
         tell: called with the port once all models are ready.
+        make_model: creates a model from its name, its options, and the path of a socket.
     """
 
     def __init__(
@@ -65,12 +94,13 @@ class PolicyServer:
         folder: Path,
         name: str,
         tell: Callable[[int], object] = lambda port: None,
+        make_model: MakeModel = ModelProcess,
     ) -> None:
         self._options, self._tell = options, tell
         self._guard = Guard(options.listen)
         self.path = folder / f"{name}.sock"
-        self.models = {
-            model: ModelProcess(model, given, folder / f"{name}-{model}.sock")
+        self.models: dict[str, RelayedModel] = {
+            model: make_model(model, given, folder / f"{name}-{model}.sock")
             for model, given in options.models.items()
         }
         self._end = threading.Event()
@@ -156,7 +186,14 @@ class PolicyServer:
                     log.warning("The keys of the link have changed; robots must reconnect.")
                     await self._close(opened)
                     opened = await self._open(network)
+            await self._drain()
             await self._close(opened)
+
+    async def _drain(self) -> None:
+        """Answer the robots that are connected for a while, until they have left."""
+        until_s = time.monotonic() + self._options.listen.drain_s
+        while self._robots.clients and time.monotonic() < until_s:
+            await asyncio.sleep(_LOOK_S)
 
     async def _open(self, network: socket.socket) -> Server | None:
         """Accept robots with the keys of now; None if this machine is paired with no other."""
@@ -172,6 +209,8 @@ class PolicyServer:
     ) -> tuple[HTTPStatus, str] | None:
         if not self._guard.is_admitted(request.headers.get_all("Authorization")):
             return HTTPStatus.UNAUTHORIZED, ""
+        if self._end.is_set():
+            return HTTPStatus.SERVICE_UNAVAILABLE, "The server is being stopped."
         if self._model_of(request) is None:
             wanted = request.path.strip("/")
             told = f"This server has no model {wanted!r}." if wanted else "It has several models."
@@ -183,7 +222,7 @@ class PolicyServer:
     ) -> tuple[HTTPStatus, str] | None:
         return HTTPStatus.NOT_FOUND, ""
 
-    def _model_of(self, request: Request) -> ModelProcess | None:
+    def _model_of(self, request: Request) -> RelayedModel | None:
         """The model named by a path; that of a server with one model needs no name."""
         wanted = request.path.strip("/")
         if not wanted and len(self.models) == 1:
@@ -191,59 +230,22 @@ class PolicyServer:
         return self.models.get(wanted)
 
     async def _relay(self, robot: ServerConnection) -> None:
-        """Forward the messages of a robot and of its model until one of them disconnects."""
+        """Let the model that a robot names answer it until it disconnects."""
         assert robot.request is not None
         model = self._model_of(robot.request)
         assert model is not None
         log.info("A robot at %s uses the model %s.", robot.remote_address, model.name)
         with suppress(ConnectionClosed):
-            try:
-                there = await _reached(model)
-            except (OSError, InvalidHandshake):
-                await send(robot, pack({RESERVED: model.welcome()}), SEND_S)
-                await robot.close(CloseCode.TRY_AGAIN_LATER, "the model is not ready")
-                return
-            async with there:
-                await self._carry(robot, there, model)
+            self._lost[model.name] += await model.relay(robot, self._served[model.name].note)
         log.info("A robot at %s has disconnected.", robot.remote_address)
-
-    async def _carry(
-        self, robot: ServerConnection, there: ClientConnection, model: ModelProcess
-    ) -> None:
-        asked_s: deque[float] = deque()
-
-        async def ask() -> None:
-            async for message in robot:
-                asked_s.append(time.monotonic())
-                await there.send(message)
-
-        async def answer() -> None:
-            is_first = True
-            async for message in there:
-                await send(robot, message, SEND_S)
-                if not is_first and asked_s:
-                    self._served[model.name].note(time.monotonic() - asked_s.popleft())
-                is_first = False
-
-        asking, answering = asyncio.create_task(ask()), asyncio.create_task(answer())
-        await asyncio.wait({asking, answering}, return_when=asyncio.FIRST_COMPLETED)
-        has_died = there.state is State.CLOSED
-        for task in (asking, answering):
-            task.cancel()
-        await asyncio.gather(asking, answering, return_exceptions=True)
-        if has_died:
-            self._lost[model.name] += len(asked_s)
-            code, reason = there.close_code, there.close_reason
-            if code is None or code == CloseCode.ABNORMAL_CLOSURE:
-                code = CloseCode.SERVICE_RESTART
-                reason = f"The model {model.name!r} has died; the server restarts it."
-            await robot.close(code, reason or "")
 
     @property
     def _is_ready(self) -> bool:
         return all(model.state == READY for model in self.models.values())
 
     def _health_page(self) -> tuple[HTTPStatus, str]:
+        if self._end.is_set():
+            return HTTPStatus.SERVICE_UNAVAILABLE, "the server is being stopped\n"
         if self._is_ready:
             return HTTPStatus.OK, "OK\n"
         return HTTPStatus.SERVICE_UNAVAILABLE, "a model is not ready\n"
@@ -293,19 +295,6 @@ class PolicyServer:
             yield
         finally:
             endpoint.close()
-
-
-async def _reached(model: ModelProcess) -> ClientConnection:
-    """A connection to the process of a model. Raises OSError or InvalidHandshake."""
-    return await unix_connect(
-        str(model.path),
-        "ws://localhost/",
-        compression=None,
-        max_size=MOST_BYTES,
-        ping_interval=None,
-        open_timeout=_REACH_S,
-        close_timeout=_REACH_S,
-    )
 
 
 def _network_listener(options: PolicyServerOptions) -> socket.socket:

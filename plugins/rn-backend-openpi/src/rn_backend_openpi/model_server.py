@@ -108,10 +108,42 @@ class SharedModelServer:
         """Request the end; callable from a signal handler."""
         self._end.set()
 
+    def load(self) -> None:
+        """Load the model, and start answering; `run` does it too.
+
+        Raises:
+            RoboNeuronError: as `Backend.load`.
+        """
+        self.model.load()
+        options = self._options
+        self._batcher = Batcher(
+            self._statistics.timed(self.model.answer),
+            most=self.model.most,
+            waiting=options.waiting,
+            linger_s=options.linger_s,
+            clients=lambda: len(self._listener.clients),
+        )
+        self._batcher.start()
+        self._image_sizes = self.model.image_sizes
+        self._state = READY
+        log.info("The model %s is ready.", self._options.backend)
+
+    @property
+    def is_alive(self) -> bool:
+        """True while the model's thread answers."""
+        return self._batcher is not None and self._batcher.is_alive
+
+    def close(self) -> None:
+        """Stop after the current batch, and release the model; idempotent."""
+        batcher, self._batcher = self._batcher, None
+        if batcher is not None:
+            batcher.close()
+            self.model.close()
+
     def _serve(self, watch: HangWatch) -> int:
         try:
             with watch.loading():
-                self.model.load()
+                self.load()
         except RoboNeuronError as error:
             return self._fail(error)
         except (
@@ -119,18 +151,6 @@ class SharedModelServer:
         ) as error:  # the border to the model: robots are notified before the process ends
             log.exception("The model cannot be loaded.")
             return self._fail(NotReadyError(f"The shared model cannot be loaded: {error!r}."))
-        options = self._options
-        batcher = self._batcher = Batcher(
-            self._statistics.timed(self.model.answer),
-            most=self.model.most,
-            waiting=options.waiting,
-            linger_s=options.linger_s,
-            clients=lambda: len(self._listener.clients),
-        )
-        batcher.start()
-        self._image_sizes = self.model.image_sizes
-        self._state = READY
-        log.info("The model %s is ready.", self._options.backend)
         self._used_s = time.monotonic()
         while not self._end.wait(_LOOK_S):
             now_s = time.monotonic()
@@ -139,8 +159,7 @@ class SharedModelServer:
             elif self._idle_s is not None and now_s - self._used_s > self._idle_s:
                 log.info("No robot for %g s.", self._idle_s)
                 break
-        batcher.close()
-        self.model.close()
+        self.close()
         return 0
 
     def _fail(self, error: RoboNeuronError) -> int:
@@ -178,7 +197,7 @@ class SharedModelServer:
             thread.join(_START_S)
 
     async def _handle(self, connection: ServerConnection) -> None:
-        await converse(connection, _ModelConversation(self))
+        await converse(connection, ModelConversation(self))
 
     def first(self, number: int) -> Reply:
         """The first message to a client: the interface as openpi's servers tell it, and the
@@ -272,7 +291,7 @@ class SharedModelServer:
         self._statistics.note(answer)
 
 
-class _ModelConversation:
+class ModelConversation:
     """One robot's conversation; see `Conversation`.
 
     Args:
@@ -284,6 +303,10 @@ class _ModelConversation:
         self._session = secrets.randbits(_NUMBER_BITS)
         self._last = secrets.randbits(_NUMBER_BITS)
         self._held: OrderedDict[int, object] = OrderedDict()
+
+    def expect(self, number: int) -> None:
+        """Take that number for the next request's: others were answered elsewhere."""
+        self._last = number - 1
 
     def first(self) -> Reply:
         return self._server.first(self._last)

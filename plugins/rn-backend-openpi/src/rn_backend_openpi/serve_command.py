@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 from roboneuron import ConfigurationError
 
 if TYPE_CHECKING:
+    from rn_backend_openpi.front import MakeModel
     from rn_backend_openpi.messages import Document
     from rn_backend_openpi.shared_options import PolicyServerOptions
 
@@ -42,8 +43,8 @@ _FILES = {"unit": "serve-policy.service", "containerfile": "Containerfile"}
 class ServePolicyCommand:
     """Serve the models of a file to robots on other machines, until Ctrl-C or SIGTERM.
 
-    Each model has its own process, which is restarted when it dies. Robots use it with `address`
-    under [plugins.shared].
+    Each model has its own process, or replicas on a Ray cluster; they are restarted when they die.
+    Robots use it with `address` under [plugins.shared].
     """
 
     def configure(self, parser: ArgumentParser) -> None:
@@ -67,6 +68,13 @@ class ServePolicyCommand:
             "--host", metavar="ADDRESS", help="address to listen on, instead of FILE's"
         )
         parser.add_argument("--port", type=int, metavar="N", help="likewise")
+        parser.add_argument(
+            "--engine",
+            choices=("processes", "ray"),
+            default="processes",
+            help="each model in a process of this machine (processes), or in replicas on a Ray "
+            "cluster (ray)",
+        )
         parser.add_argument("--json", action="store_true", help="status as JSON")
 
     def run(self, arguments: Namespace) -> int:
@@ -83,11 +91,19 @@ class ServePolicyCommand:
             told = ask_status(private_directory(options.listen.directory) / f"{name}.sock")
             print(json.dumps(told, indent=2) if arguments.json else table_of(told))
             return 0
-        return run_server(options, name)
+        if arguments.engine == "processes":
+            return run_server(options, name)
+        from rn_backend_openpi.ray_engine import ray_models
+
+        with ray_models(options.ray) as make_model:
+            return run_server(options, name, make_model=make_model)
 
 
 def run_server(
-    options: PolicyServerOptions, name: str, tell: Callable[[int], object] = lambda port: None
+    options: PolicyServerOptions,
+    name: str,
+    tell: Callable[[int], object] = lambda port: None,
+    make_model: MakeModel | None = None,
 ) -> int:
     """Serve in this process until SIGTERM or SIGINT; returns the exit status.
 
@@ -95,15 +111,18 @@ def run_server(
         options: those of the server.
         name: its name among others of this user.
         tell: called with the port once all models are ready.
+        make_model: see `PolicyServer`; processes of this machine if None.
     """
     from rn_backend_openpi.front import PolicyServer
     from rn_backend_openpi.links import private_directory
+    from rn_backend_openpi.processes import ModelProcess
     from roboneuron.command import HangWatch
 
     HangWatch().start()
     logging.basicConfig(format="%(asctime)s %(message)s")  # -v and -q have set up another log
     logging.getLogger("rn_backend_openpi").setLevel(logging.INFO)
-    server = PolicyServer(options, private_directory(options.listen.directory), name, tell)
+    folder = private_directory(options.listen.directory)
+    server = PolicyServer(options, folder, name, tell, make_model or ModelProcess)
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: server.stop())
     return server.run()

@@ -162,11 +162,47 @@ class SharedOptions(ModelOptions):
         return hashlib.sha256(json.dumps([_WIRE, own], sort_keys=True).encode()).hexdigest()[:16]
 
 
+class ReplicaOptions(BaseModel):
+    """`[models.<name>.ray]`: the replicas of a model with `--engine ray`."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
+
+    least: Annotated[int, Field(ge=1, le=256)] = 1
+    """Smallest number of replicas."""
+    most: Annotated[int, Field(ge=1, le=256)] = 1
+    """Largest number of replicas: more are started while each has more than one batch of
+    observations, waiting ones included.
+    """
+    cpus: Annotated[float, Field(ge=0, le=1024)] = 1.0
+    """CPUs that Ray reserves for a replica."""
+    gpus: Annotated[float, Field(ge=0, le=64)] = 0.0
+    """GPUs that Ray reserves for a replica; it sees no others."""
+
+    @model_validator(mode="after")
+    def _check_range(self) -> Self:
+        if self.least > self.most:
+            raise ValueError(f"least = {self.least} replicas is more than most = {self.most}")
+        return self
+
+
+class RayOptions(BaseModel):
+    """`[ray]` of a server's file."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
+
+    address: str | None = None
+    """The Ray cluster: `host:port`, or `auto` for the one of this machine. If unset: one that runs
+    on this machine as long as the server.
+    """
+
+
 class ServedModelOptions(ModelOptions):
     """`[models.<name>]` of a server's file."""
 
     backend: Name
     """The backend that holds the model, for instance `oft`."""
+    ray: ReplicaOptions = ReplicaOptions()
+    """Its replicas; read with `--engine ray` only."""
 
     def shared(self) -> SharedOptions:
         """The options of the model's process."""
@@ -207,6 +243,10 @@ class ListenOptions(BaseModel):
     """Address of the metrics. Anyone who can reach it can read them, without a key."""
     robots: Annotated[int, Field(ge=1, le=100)] = 64
     """Largest number of connected robots."""
+    drain_s: Annotated[float, Field(ge=0, le=3600, allow_inf_nan=False)] = 0.0
+    """Time after SIGTERM for which connected robots are still answered [s]; others are refused, and
+    `/healthz` says 503.
+    """
     directory: Path | None = None
     """Folder of sockets and logs; by default in the user's run-time directory."""
 
@@ -230,5 +270,7 @@ class PolicyServerOptions(BaseModel):
 
     listen: ListenOptions = ListenOptions()
     """Address for robots."""
+    ray: RayOptions = RayOptions()
+    """The Ray cluster; read with `--engine ray` only."""
     models: Annotated[dict[Name, ServedModelOptions], Field(min_length=1, max_length=32)]
     """The served models by name."""
