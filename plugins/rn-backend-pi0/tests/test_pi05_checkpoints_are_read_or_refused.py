@@ -16,8 +16,8 @@ from safetensors.numpy import load_file, save_file
 from rn_backend_pi0.layouts import read_checkpoint
 from rn_backend_pi0.native import Pi0Backend
 from rn_backend_pi0.options import Pi0Options
-from rn_backend_pi0.statistics import Quantiles, ZScore
 from rn_backend_pi0.tiny import make_tiny
+from rn_vla.normalisation import Quantiles, ZScore
 from roboneuron import Ahead, CheckpointError, Observation
 
 Observe = Callable[..., Observation]

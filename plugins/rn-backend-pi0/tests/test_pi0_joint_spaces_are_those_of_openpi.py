@@ -12,7 +12,7 @@ import pytest
 from rn_backend_pi0.joint_layout import JointLayout
 from rn_backend_pi0.profiles import JOINT_PROFILES
 from rn_backend_pi0.prompt import state_bins
-from rn_backend_pi0.statistics import Quantiles, Scaling, ZScore
+from rn_vla.normalisation import Quantiles, Scaling, ZScore
 from roboneuron import ConfigurationError
 
 DATA = Path(__file__).parent / "data" / "action-spaces.npz"

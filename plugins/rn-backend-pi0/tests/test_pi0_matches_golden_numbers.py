@@ -78,13 +78,9 @@ def test_the_normalised_state_is_that_of_the_code_that_is_followed(
 
 
 def test_both_layouts_hold_the_same_statistics(golden_directory: Path, tmp_path: Path) -> None:
-    from rn_backend_pi0.documents import NormStatsDocument
-    from rn_backend_pi0.layouts import _openpi_statistics
-    from rn_vla.checkpoint_files import read_schema
+    from rn_vla.normalisation import read_openpi_scalings
 
-    theirs = _openpi_statistics(
-        read_schema(golden_directory / "norm_stats.json", NormStatsDocument).norm_stats.state
-    )
+    theirs, _ = read_openpi_scalings(golden_directory / "norm_stats.json", "mean_std")
     ours = read_checkpoint(golden_directory).state
     np.testing.assert_array_equal(theirs.mean, ours.mean)
     np.testing.assert_array_equal(theirs.std, ours.std)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 from rn_backend_pi0.architecture import Pi0Dims
-from rn_backend_pi0.statistics import Scaling
+from rn_vla.normalisation import Scaling
 
 Family = Literal["lerobot", "openpi"]
 PROFILE_FILE = "roboneuron.json"

@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from rn_backend_pi0.statistics import Values
+from rn_vla.normalisation import Values
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]

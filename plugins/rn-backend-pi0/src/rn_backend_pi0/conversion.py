@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rn_backend_pi0.joint_layout import JointLayout
-from rn_backend_pi0.statistics import Real
+from rn_vla.normalisation import Real
 from rn_vla.rotation import F64
 from rn_vla.tcp_profiles import Profile
 from roboneuron import (

@@ -17,10 +17,6 @@ Width = Annotated[int, Field(ge=1, le=65_536, strict=True)]
 Inner = Annotated[int, Field(ge=1, le=262_144, strict=True)]
 Count = Annotated[int, Field(ge=1, le=256, strict=True)]
 Epsilon = Annotated[float, Field(ge=1e-12, le=0.01)]
-Vector = Annotated[
-    tuple[Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)], ...],
-    Field(min_length=1, max_length=256),
-]
 Activation = Literal["gelu_pytorch_tanh"]
 
 
@@ -174,62 +170,6 @@ class FastProcessor(_Document):
     min_token: Annotated[int, Field(ge=-1_000_000, le=1_000_000, strict=True)] = 0
     time_horizon: Chunk | None = None
     action_dim: Padded | None = None
-
-
-class Moments(_Document):
-    """Mean and standard deviation of one vector."""
-
-    mean: Vector
-    std: Vector
-
-    @model_validator(mode="after")
-    def _widths_agree(self) -> Self:
-        if len(self.mean) != len(self.std):
-            raise ValueError(f"mean has {len(self.mean)} values, std {len(self.std)}")
-        if min(self.std) < 0:
-            raise ValueError(f"std holds the negative value {min(self.std)}")
-        return self
-
-
-class Range(_Document):
-    """1st and 99th percentile of one vector."""
-
-    q01: Vector
-    q99: Vector
-
-    @model_validator(mode="after")
-    def _is_ordered(self) -> Self:
-        if len(self.q01) != len(self.q99):
-            raise ValueError(f"q01 has {len(self.q01)} values, q99 {len(self.q99)}")
-        if any(low > high for low, high in zip(self.q01, self.q99, strict=True)):
-            raise ValueError("a value of q01 is above that of q99")
-        return self
-
-
-class NormStats(_Document):
-    """The object in norm_stats.json, for pi0."""
-
-    state: Moments
-    actions: Moments
-
-
-class RangeStats(_Document):
-    """The object in norm_stats.json, for pi0.5."""
-
-    state: Range
-    actions: Range
-
-
-class NormStatsDocument(_Document):
-    """norm_stats.json of an openpi checkpoint."""
-
-    norm_stats: NormStats
-
-
-class RangeStatsDocument(_Document):
-    """norm_stats.json of an openpi checkpoint of pi0.5."""
-
-    norm_stats: RangeStats
 
 
 class ProfileDocument(_Document):

@@ -13,7 +13,7 @@ from rn_backend_pi0.chunking import Prefix
 from rn_backend_pi0.fast_tokens import load_fast_tokenizer
 from rn_backend_pi0.in_process import NativeBackend
 from rn_backend_pi0.options import Pi0FastOptions
-from rn_backend_pi0.statistics import Values
+from rn_vla.normalisation import Values
 from roboneuron import Ahead
 
 if TYPE_CHECKING:

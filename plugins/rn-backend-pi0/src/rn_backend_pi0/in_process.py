@@ -17,7 +17,7 @@ from rn_backend_pi0.chunking import Prefix, RunningChunk
 from rn_backend_pi0.conversion import Conversion
 from rn_backend_pi0.layouts import read_checkpoint
 from rn_backend_pi0.options import NativeOptions
-from rn_backend_pi0.statistics import Scaling, Values
+from rn_vla.normalisation import Scaling, Values
 from roboneuron import (
     ActionChunk,
     Ahead,

@@ -9,19 +9,14 @@ from pathlib import Path
 
 from pydantic import TypeAdapter
 
-from rn_backend_pi0.architecture import Variant
 from rn_backend_pi0.checkpoint import PROFILE_FILE, Pi0Checkpoint
 from rn_backend_pi0.dimensions import read_dims
 from rn_backend_pi0.documents import (
     LerobotConfig,
-    Moments,
-    NormStatsDocument,
     OpenpiConfig,
     ProfileDocument,
-    RangeStatsDocument,
 )
 from rn_backend_pi0.lerobot_layout import LEROBOT_VARIANTS, PROMPT_LENGTH, read_lerobot
-from rn_backend_pi0.statistics import Quantiles, Scaling, ZScore
 from rn_backend_pi0.tensor_names import read_names, variant_of
 from rn_vla.checkpoint_files import (
     check_schema,
@@ -31,11 +26,11 @@ from rn_vla.checkpoint_files import (
     read_json,
     read_schema,
 )
+from rn_vla.normalisation import ScalingKind, read_openpi_scalings
 from roboneuron import CheckpointError
 
 OPENPI_SLOTS = ("base_0_rgb", "left_wrist_0_rgb", "right_wrist_0_rgb")
 """Camera slots of every openpi pi0. Source: openpi, models/model.py."""
-_OPENPI_EPS = 1e-6
 
 
 def read_checkpoint(directory: Path, *, asset_id: str | None = None) -> Pi0Checkpoint:
@@ -116,7 +111,9 @@ def _openpi(directory: Path, config: OpenpiConfig, asset_id: str | None) -> Pi0C
         directory / "assets" / (asset_id or choices[0]) / "norm_stats.json" if choices else flat
     )
     variant = variant_of(read_names(directory))
-    state, action = _openpi_scalings(source, variant)
+    # openpi normalises pi0 by z-scores, all others by quantiles
+    kind: ScalingKind = "quantiles" if variant == "pi05" else "mean_std"
+    state, action = read_openpi_scalings(source, kind)
     chunk = config.action_horizon
     dims = read_dims(
         config,
@@ -136,22 +133,3 @@ def _openpi(directory: Path, config: OpenpiConfig, asset_id: str | None) -> Pi0C
         action_steps=chunk,
         prompt_length=config.max_token_len or PROMPT_LENGTH[variant],
     )
-
-
-def _openpi_scalings(source: Path, variant: Variant) -> tuple[Scaling, Scaling]:
-    """Statistics of state and actions. Source: openpi normalises pi0 by z-scores, all others by
-    quantiles.
-    """
-    if variant == "pi05":
-        limits = read_schema(source, RangeStatsDocument).norm_stats
-        state, action = (
-            Quantiles.of(part.q01, part.q99, eps=_OPENPI_EPS)
-            for part in (limits.state, limits.actions)
-        )
-        return state, action
-    stats = read_schema(source, NormStatsDocument).norm_stats
-    return _openpi_statistics(stats.state), _openpi_statistics(stats.actions)
-
-
-def _openpi_statistics(moments: Moments) -> ZScore:
-    return ZScore.of(moments.mean, moments.std, forward_eps=_OPENPI_EPS, backward_eps=_OPENPI_EPS)

@@ -11,13 +11,10 @@ from rn_backend_pi0.checkpoint import FastSettings, Pi0Checkpoint
 from rn_backend_pi0.dimensions import read_dims
 from rn_backend_pi0.documents import (
     LerobotConfig,
-    Moments,
     ProcessorDocument,
     ProcessorStep,
-    Range,
     StepConfig,
 )
-from rn_backend_pi0.statistics import Quantiles, Scaling, ZScore
 from rn_vla.checkpoint_files import (
     check_file,
     check_safetensors,
@@ -27,6 +24,7 @@ from rn_vla.checkpoint_files import (
     read_schema,
     reading,
 )
+from rn_vla.normalisation import Moments, Quantiles, Range, Scaling, ZScore
 from roboneuron import CheckpointError
 
 _IMAGES = "observation.images."

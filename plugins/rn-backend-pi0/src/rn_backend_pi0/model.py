@@ -17,9 +17,9 @@ from rn_backend_pi0.checkpoint import Family, Pi0Checkpoint
 from rn_backend_pi0.chunking import Prefix
 from rn_backend_pi0.flow import FlowNetwork
 from rn_backend_pi0.image import Resize, to_pixels
-from rn_backend_pi0.statistics import Quantiles, Scaling, Values
 from rn_backend_pi0.weights import load_network
 from rn_vla.letterbox import Flip
+from rn_vla.normalisation import Quantiles, Scaling, Values
 from roboneuron import ConfigurationError, UngroundedError
 
 

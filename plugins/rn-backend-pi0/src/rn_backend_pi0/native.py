@@ -12,7 +12,7 @@ from rn_backend_pi0.checkpoint import Pi0Checkpoint
 from rn_backend_pi0.chunking import Prefix, RunningChunk
 from rn_backend_pi0.in_process import NativeBackend
 from rn_backend_pi0.options import Pi0Options
-from rn_backend_pi0.statistics import Values
+from rn_vla.normalisation import Values
 from roboneuron import Ahead
 
 if TYPE_CHECKING:

@@ -11,8 +11,8 @@ import numpy as np
 
 from rn_backend_pi0.architecture import Variant
 from rn_backend_pi0.checkpoint import Family
-from rn_backend_pi0.statistics import Values
 from rn_vla.checkpoint_files import MAX_TOKENIZER_BYTES, check_file, reading
+from rn_vla.normalisation import Values
 from roboneuron import CheckpointError, UngroundedError
 
 if TYPE_CHECKING:

@@ -1,5 +1,5 @@
 """Statistics of a checkpoint's training data, and normalisation with them: by z-scores, or by the
-range between two quantiles.
+range between two quantiles. openpi's file of them, norm_stats.json.
 
 Everything is computed in the number type of the given values.
 """
@@ -8,10 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar, TypeAlias
+from pathlib import Path
+from typing import Annotated, ClassVar, Literal, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from rn_vla.checkpoint_files import read_schema
 
 Real: TypeAlias = np.dtype[np.floating]
 Values: TypeAlias = NDArray[np.floating]
@@ -153,3 +157,91 @@ class Quantiles:
 
 
 Scaling: TypeAlias = ZScore | Quantiles
+ScalingKind = Literal["mean_std", "quantiles"]
+"""How a model normalises: pi0 by mean and standard deviation, pi0.5 and pi0-FAST by quantiles."""
+_OPENPI_EPS = 1e-6
+Vector = Annotated[
+    tuple[Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)], ...],
+    Field(min_length=1, max_length=256),
+]
+
+
+class _NormStatsPart(BaseModel):
+    model_config = ConfigDict(extra="ignore", frozen=True)
+
+
+class Moments(_NormStatsPart):
+    """Mean and standard deviation of one vector."""
+
+    mean: Vector
+    std: Vector
+
+    @model_validator(mode="after")
+    def _widths_agree(self) -> Self:
+        if len(self.mean) != len(self.std):
+            raise ValueError(f"mean has {len(self.mean)} values, std {len(self.std)}")
+        if min(self.std) < 0:
+            raise ValueError(f"std holds the negative value {min(self.std)}")
+        return self
+
+
+class Range(_NormStatsPart):
+    """1st and 99th percentile of one vector."""
+
+    q01: Vector
+    q99: Vector
+
+    @model_validator(mode="after")
+    def _is_ordered(self) -> Self:
+        if len(self.q01) != len(self.q99):
+            raise ValueError(f"q01 has {len(self.q01)} values, q99 {len(self.q99)}")
+        if any(low > high for low, high in zip(self.q01, self.q99, strict=True)):
+            raise ValueError("a value of q01 is above that of q99")
+        return self
+
+
+class NormStats(_NormStatsPart):
+    """The object in norm_stats.json, for pi0."""
+
+    state: Moments
+    actions: Moments
+
+
+class RangeStats(_NormStatsPart):
+    """The object in norm_stats.json, for pi0.5."""
+
+    state: Range
+    actions: Range
+
+
+class NormStatsDocument(_NormStatsPart):
+    """norm_stats.json of an openpi checkpoint."""
+
+    norm_stats: NormStats
+
+
+class RangeStatsDocument(_NormStatsPart):
+    """norm_stats.json of an openpi checkpoint of pi0.5."""
+
+    norm_stats: RangeStats
+
+
+def read_openpi_scalings(source: Path, kind: ScalingKind) -> tuple[Scaling, Scaling]:
+    """Statistics of state and actions in a norm_stats.json.
+
+    Raises:
+        CheckpointError: the file is missing, or lacks those of this kind.
+    """
+    if kind == "quantiles":
+        limits = read_schema(source, RangeStatsDocument).norm_stats
+        return _quantiles(limits.state), _quantiles(limits.actions)
+    stats = read_schema(source, NormStatsDocument).norm_stats
+    return _z_score(stats.state), _z_score(stats.actions)
+
+
+def _quantiles(limits: Range) -> Quantiles:
+    return Quantiles.of(limits.q01, limits.q99, eps=_OPENPI_EPS)
+
+
+def _z_score(moments: Moments) -> ZScore:
+    return ZScore.of(moments.mean, moments.std, forward_eps=_OPENPI_EPS, backward_eps=_OPENPI_EPS)
