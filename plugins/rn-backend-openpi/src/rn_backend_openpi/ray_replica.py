@@ -7,7 +7,8 @@ from collections import OrderedDict
 from pathlib import Path
 
 from rn_backend_openpi.conversations import PolicyRequest, answered, told_of
-from rn_backend_openpi.model_server import ModelConversation, SharedModelServer
+from rn_backend_openpi.model_conversation import ModelConversation
+from rn_backend_openpi.model_server import SharedModelServer
 from rn_backend_openpi.shared_options import SharedOptions
 from rn_backend_openpi.wire import pack
 from roboneuron import RoboNeuronError
