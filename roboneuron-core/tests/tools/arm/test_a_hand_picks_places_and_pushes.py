@@ -63,6 +63,25 @@ def test_an_object_is_pushed_and_corrected_until_it_is_there(cell: Cell) -> None
     assert set(cell.forgotten) == {"red"}
 
 
+def test_a_pushed_object_that_is_seen_badly_keeps_its_height(
+    cell: Cell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    look = cell.look
+
+    def look_badly(who: str, newer_than_ns: int = 0) -> Any:
+        seen = look(who, newer_than_ns)
+        if not cell.moves:
+            return seen
+        (red, *others) = seen.objects
+        sunk = red.position_m - np.array([0.0, 0.0, 0.011])
+        vague = replace(red, position_m=sunk, is_whole=False, uncertainty_m=0.033)
+        return replace(seen, objects=(vague, *others))
+
+    monkeypatch.setattr(cell, "look", look_badly)
+    pushed = push(cell, object="red", dx_m=0.06)
+    assert pushed.position_m[2] == pytest.approx(EDGE_M / 2, abs=1e-4)
+
+
 @pytest.mark.parametrize(
     ("change", "rule"),
     [

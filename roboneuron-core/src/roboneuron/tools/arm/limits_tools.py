@@ -21,8 +21,8 @@ from roboneuron.server.tool import Arguments, CallContext, NoArguments, Result, 
 from roboneuron.tools.arm.prediction import control_of
 from roboneuron.tools.arm.tightening import Tightening
 
-_TCP_ONLY = "Only the TCP, the point between the fingertips, stays out, not hand and arm, of: "
-_WHOLE_ARM = "Held by the whole arm, and by what a closed hand may hold, 5 cm around the TCP: "
+_TCP_ONLY = "For the TCP alone, the point between the fingertips (hand and arm may reach beyond): "
+_WHOLE_ARM = "For the whole arm, and for what a closed hand may hold, 5 cm around the TCP: "
 _MEASURED_S = 0.5
 _TCP = "the TCP"
 
@@ -49,7 +49,8 @@ class TightenLimits(Arguments):
         description="Box to stay out of: x, y, z of two corners.",
     )
     applies_to: Literal["tcp", "arm"] = Field(
-        default="tcp", description="arm: every link, and what is held."
+        default="tcp",
+        description="arm: every link and what is held, at the edges given and keep_out.",
     )
 
     def tightening(self) -> Tightening:
@@ -178,7 +179,7 @@ def _note(host: Host, limits: LimitsConfig) -> str:
     told = []
     of_tcp = [zone.name for zone in limits.zones if zone.applies_to == "tcp"]
     if has_box and limits.applies_to == "tcp":
-        of_tcp.insert(0, "what lies outside the box")
+        of_tcp.insert(0, "the box lower_m, upper_m")
     if of_tcp:
         told += [f"{_TCP_ONLY}{', '.join(of_tcp)}."]
     if limits.applies_to == "arm":

@@ -18,6 +18,7 @@ from roboneuron.server.host import Host
 from roboneuron.server.tool import Arguments, CallContext, Tool
 from roboneuron.sight.looker import Looker, looker_of, seen_target
 from roboneuron.sight.marks import CellLook, name_of, nearest_like
+from roboneuron.sight.sightlines import is_seen_well
 from roboneuron.supervisor.changes import Stage
 from roboneuron.tools.arm.absolute import top_down, yaw_of
 from roboneuron.tools.arm.bounds import refused_route
@@ -249,6 +250,8 @@ class Pusher:
             if len(route) <= 2:
                 break
         moved_m = seen.position_m[:2] - one.position_m[:2]
+        # it slides on the table: a bad sighting tells its height worst
+        height_m = (seen if is_seen_well(seen) else one).position_m[2]
         others = displaced(before, after, one)
         return Pushed(
             robot=self.mover.robot,
@@ -259,7 +262,7 @@ class Pusher:
                 "dy_m": round(float(moved_m[1]), 4),
             },
             error_m=round(float(np.linalg.norm(left)), 4),
-            position_m=np.round(seen.position_m, 4).tolist(),
+            position_m=np.round([*seen.position_m[:2], height_m], 4).tolist(),
             pushes=pushes,
             **others.model_dump(),
             took_s=round(time.monotonic() - began_s, 3),
