@@ -137,6 +137,7 @@ class Cell:
             holding=self.holding(),
             robot=self.robot,
             arm=self.arm,
+            max_tcp_speed_m_s=len(self.moves) / 100,
             position_m=self.position.tolist(),
         )
 

@@ -22,6 +22,14 @@ def test_an_object_is_lifted_and_the_grasp_is_told(cell: Cell) -> None:
     assert (picked.others_moved, picked.not_seen_after) == ([], [])
 
 
+@pytest.mark.parametrize("act", ["pick", "place", "push"])
+def test_the_highest_speed_of_all_moves_is_told(cell: Cell, act: str) -> None:
+    done = pick(cell, object="red") if act != "push" else push(cell, object="red", dx_m=0.06)
+    if act == "place":
+        done = place(cell, position_m=[0.5, 0.25])
+    assert done.max_tcp_speed_m_s == len(cell.moves) / 100
+
+
 def test_what_was_displaced_on_the_way_is_told(cell: Cell) -> None:
     cell.bumps = "green"
     (moved,) = pick(cell, object="red").others_moved

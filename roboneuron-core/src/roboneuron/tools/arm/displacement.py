@@ -33,7 +33,9 @@ class MovedObject(Result):
 
 
 class Surroundings(Result):
-    """Fields of an answer about the objects that a motion was not about."""
+    """What an answer says of a motion beside its object: the speed, and other objects."""
+
+    max_tcp_speed_m_s: float | None = Field(default=None, description="highest, as measured")
 
     others_moved: list[MovedObject] | None = Field(
         default=[], description="null: none is known to have moved, and not all were seen well"
@@ -47,7 +49,7 @@ class Surroundings(Result):
 def displaced(before: CellLook, after: CellLook, carried: LocatedObject | None) -> Surroundings:
     """Other objects that are elsewhere than before, as far as both looks tell."""
     moved: list[MovedObject] = []
-    told = Surroundings(others_moved=moved)
+    told = Surroundings(others_moved=moved, not_seen_well=[], not_seen_after=[])
     left = list(after.objects)
     if carried is not None:
         held = nearest_like(left, carried, np.inf)

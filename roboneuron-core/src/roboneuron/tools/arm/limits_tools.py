@@ -50,7 +50,7 @@ class TightenLimits(Arguments):
     )
     applies_to: Literal["tcp", "arm"] = Field(
         default="tcp",
-        description="arm: every link and what is held, at the edges given and keep_out.",
+        description="arm: every link and what is held, at edges and keep_out.",
     )
 
     def tightening(self) -> Tightening:

@@ -121,7 +121,8 @@ class Picker:
             yaw_deg=round(float(np.degrees(grasp.yaw_rad)), 1),
             holds=await context.run(lambda _: self.grip.holding()),
             clearance_m=None if far else round(grasp.clearance_m, 4),
-            **others.model_dump(),
+            **others.model_dump(exclude_unset=True),
+            max_tcp_speed_m_s=carrier.highest_m_s,
             took_s=round(time.monotonic() - began_s, 3),
         )
 

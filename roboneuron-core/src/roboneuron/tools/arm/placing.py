@@ -173,6 +173,7 @@ class Placer:
         return self._told(plan, after, seen).model_copy(
             update={
                 "holding": await context.run(lambda _: self.grip.holding()),
+                "max_tcp_speed_m_s": carrier.highest_m_s,
                 "took_s": round(time.monotonic() - began_s, 3),
             }
         )

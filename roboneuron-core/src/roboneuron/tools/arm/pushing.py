@@ -264,7 +264,8 @@ class Pusher:
             error_m=round(float(np.linalg.norm(left)), 4),
             position_m=np.round([*seen.position_m[:2], height_m], 4).tolist(),
             pushes=pushes,
-            **others.model_dump(),
+            **others.model_dump(exclude_unset=True),
+            max_tcp_speed_m_s=carrier.highest_m_s,
             took_s=round(time.monotonic() - began_s, 3),
         )
 

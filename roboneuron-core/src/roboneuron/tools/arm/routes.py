@@ -62,12 +62,17 @@ class Carrier(Protocol):
 
 
 class RobotCarrier:
-    """The robot, by move_ee on behalf of the caller."""
+    """The robot, by move_ee on behalf of the caller.
+
+    Attributes:
+        highest_m_s: highest measured speed of the TCP so far [m/s]; None if not measured.
+    """
 
     def __init__(self, mover: EndEffectorMover, context: CallContext) -> None:
         self._mover, self._context = mover, context
         self._stops = mover.stops
         self._holding: bool | None = None
+        self.highest_m_s: float | None = None
 
     async def pose(self) -> tuple[F64, F64]:
         """See `Carrier`. Raises StateError after a stop: what is left is not made."""
@@ -88,6 +93,8 @@ class RobotCarrier:
                 f"The arm was not moved: {moved.reason or 'only simulated'}.", rule="simulate"
             )
         self._holding = moved.holding
+        if moved.max_tcp_speed_m_s is not None:
+            self.highest_m_s = max(moved.max_tcp_speed_m_s, self.highest_m_s or 0.0)
 
     def check_holds(self) -> None:
         """See `Carrier`; what the last move measured."""

@@ -80,10 +80,8 @@ def reset_tool(loop: ClosedLoop) -> Tool[NoArguments]:
         title="Release the emergency stop",
         description=(
             "Release the emergency stop. A person must agree: the client asks, if it can; "
-            "otherwise the call is refused and says what a person has to do. Nothing moves "
-            "by itself: the policy "
-            "has forgotten its "
-            "instruction; set_instruction or run_task starts it again."
+            "otherwise the refusal says what the person has to do. Nothing moves by itself: the "
+            "policy needs a new instruction, by set_instruction or run_task."
         ),
         arguments=NoArguments,
         result=ReleaseResult,
