@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import ClassVar
 
 from rn_eval.agents.client import ToolClient
 from rn_eval.agents.conduct import Conduct
 from rn_eval.agents.task import AgentScene, AgentVerdict, PriorTask
-from rn_eval.agents.tasks.base import CubeTask, Difficulty
-from rn_eval.agents.tasks.scenes import draw, find_seed, some_colours
+from rn_eval.agents.tasks.base import CubeTask, Difficulty, draw_target, lifted_alone
+from rn_eval.agents.tasks.scenes import draw, some_colours
 from rn_eval.agents.tasks.steps import DONE, lift, lift_with
 from rn_eval.agents.truth import Truth
 
@@ -25,12 +26,7 @@ class _Again(CubeTask):
 
     def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
         """Judge by the cubes' heights."""
-        target = scene.text("target")
-        wrong = [n for n in truth.names if n != target and truth.was_lifted(n)]
-        return AgentVerdict.of(
-            (not wrong, f"The cube {', '.join(wrong)} was lifted, meant was {target}."),
-            (truth.is_lifted(target), f"The {target} cube is not in the air at the end."),
-        )
+        return AgentVerdict.of(*lifted_alone(truth, scene.text("target")))
 
 
 class Whose(_Again):
@@ -48,10 +44,8 @@ class Whose(_Again):
         target, wrong, other = chance.sample(colours, 3)
         name, somebody = chance.sample(_NAMES, 2)
         model = {"backend": WORKING}
-        return AgentScene(
-            seed=find_seed(seed, colours),
-            instruction=self.say(seed, name=name),
-            colours=colours,
+        return replace(
+            self.scene(seed, colours, facts={"target": target}, name=name),
             past=(
                 PriorTask(
                     instruction=f"pick up the {wrong} cube of {name}",
@@ -70,7 +64,6 @@ class Whose(_Again):
                     model=model,
                 ),
             ),
-            facts={"target": target},
         )
 
     async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
@@ -92,14 +85,10 @@ class WhichPolicy(_Again):
 
     def prepare(self, seed: int) -> AgentScene:
         """The history has a failure with the configured policy, then a success with another one."""
-        chance = draw("again-policy", seed)
-        colours = some_colours(chance, 3, 3)
-        target = chance.choice(colours)
+        _, colours, target = draw_target("again-policy", seed)
         words = f"pick up the {target} cube"
-        return AgentScene(
-            seed=find_seed(seed, colours),
-            instruction=self.say(seed, colour=target),
-            colours=colours,
+        return replace(
+            self.scene(seed, colours, facts={"target": target}),
             backend=IDLE,
             past=(
                 PriorTask(instruction=words, outcome="succeeded", model={"backend": WORKING}),
@@ -110,7 +99,6 @@ class WhichPolicy(_Again):
                     model={"backend": IDLE},
                 ),
             ),
-            facts={"target": target},
         )
 
     async def solve(self, tools: ToolClient, scene: AgentScene) -> str:

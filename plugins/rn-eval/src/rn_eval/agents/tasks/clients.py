@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import ClassVar
 
 from rn_eval.agents.client import ToolClient
 from rn_eval.agents.conduct import Conduct
 from rn_eval.agents.task import AgentScene, AgentVerdict
-from rn_eval.agents.tasks.base import CubeTask, Difficulty
-from rn_eval.agents.tasks.scenes import draw, find_seed, some_colours
+from rn_eval.agents.tasks.base import CubeTask, Difficulty, draw_target
 from rn_eval.agents.tasks.steps import DONE, lift, wait_until_free
 from rn_eval.agents.truth import Truth
 
@@ -23,16 +23,8 @@ class _TwoClients(CubeTask):
 
     def prepare(self, seed: int) -> AgentScene:
         """A scene in which another client operates the robot."""
-        chance = draw(type(self).__name__, seed)
-        colours = some_colours(chance, 3, 3)
-        target = chance.choice(colours)
-        return AgentScene(
-            seed=find_seed(seed, colours),
-            instruction=self.say(seed, colour=target),
-            colours=colours,
-            other_client=True,
-            facts={"target": target},
-        )
+        _, colours, target = draw_target(type(self).__name__, seed)
+        return replace(self.scene(seed, colours, facts={"target": target}), other_client=True)
 
     def lifted(self, scene: AgentScene, truth: Truth) -> tuple[bool, str]:
         """Check that the cube is in the air at the end."""

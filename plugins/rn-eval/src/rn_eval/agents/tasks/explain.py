@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import ClassVar, get_args
 
 from rn_eval.agents.client import ToolClient
 from rn_eval.agents.conduct import Conduct
 from rn_eval.agents.task import AgentScene, AgentVerdict, InjectedFault, Module
 from rn_eval.agents.tasks.base import CubeTask, Difficulty
-from rn_eval.agents.tasks.scenes import draw, find_seed
+from rn_eval.agents.tasks.scenes import draw
 from rn_eval.agents.tasks.steps import (
     answered,
     how_perception_failed,
@@ -54,16 +55,14 @@ class LastIncident(_Explain):
         "Why did the last run break off? Name the module that failed.",
     )
 
+    form = "<robot, perception, inference or control>"
+
     def prepare(self, seed: int) -> AgentScene:
         """One module was killed."""
         module = draw("explain-last", seed).choice(MODULES)
-        return AgentScene(
-            seed=find_seed(seed, ("red", "blue")),
-            instruction=self.say(seed),
-            answer_form="<robot, perception, inference or control>",
-            colours=("red", "blue"),
+        return replace(
+            self.scene(seed, facts={"answer": module}),
             incidents=(InjectedFault(module=module, kind="kill"),),
-            facts={"answer": module},
         )
 
     def others(self, scene: AgentScene) -> tuple[str, ...]:
@@ -83,21 +82,19 @@ class NewestOfTwo(LastIncident):
         "Name the module of the most recent incident; older ones do not matter.",
     )
 
+    form = "<robot, perception, inference or control>"
+
     def prepare(self, seed: int) -> AgentScene:
         """Draw two modules that can fail one after the other."""
         first, last = draw("explain-newest", seed).sample(("perception", "inference"), 2)
-        return AgentScene(
-            seed=find_seed(seed, ("red", "blue")),
-            instruction=self.say(seed),
-            answer_form="<robot, perception, inference or control>",
-            colours=("red", "blue"),
+        return replace(
+            self.scene(seed, facts={"answer": last}),
             incidents=tuple(
                 InjectedFault(
                     module="perception" if name == "perception" else "inference", kind="kill"
                 )
                 for name in (first, last)
             ),
-            facts={"answer": last},
         )
 
 
@@ -110,16 +107,14 @@ class FrozenOrEnded(_Explain):
         "Look into the last incident of perception: had the process exited, or was it frozen?",
     )
 
+    form = "<ended or hung>"
+
     def prepare(self, seed: int) -> AgentScene:
         """In half of the scenes perception was suspended."""
         hangs = seed % 2 == 1
-        return AgentScene(
-            seed=find_seed(seed, ("red", "blue")),
-            instruction=self.say(seed),
-            answer_form="<ended or hung>",
-            colours=("red", "blue"),
+        return replace(
+            self.scene(seed, facts={"answer": "hung" if hangs else "ended"}),
             incidents=(InjectedFault(module="perception", kind="freeze" if hangs else "kill"),),
-            facts={"answer": "hung" if hangs else "ended"},
         )
 
     async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
@@ -136,17 +131,12 @@ class WhoStopped(_Explain):
         "Why is the emergency stop latched? Tell me the reason that was given.",
     )
 
+    form = "<the reason>"
+
     def prepare(self, seed: int) -> AgentScene:
         """The stop is latched with a reason."""
         reason = draw("explain-stop", seed).choice(REASONS)
-        return AgentScene(
-            seed=find_seed(seed, ("red", "blue")),
-            instruction=self.say(seed),
-            answer_form="<the reason>",
-            colours=("red", "blue"),
-            latched=reason,
-            facts={"answer": reason},
-        )
+        return replace(self.scene(seed, facts={"answer": reason}), latched=reason)
 
     async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
         """Read the status."""
@@ -161,15 +151,11 @@ class NothingRuns(_Explain):
         "Tell me which of robot, perception, inference and control run right now.",
     )
 
+    form = "<their names with commas, or none>"
+
     def prepare(self, seed: int) -> AgentScene:
         """No module runs."""
-        return AgentScene(
-            seed=find_seed(seed, ("red", "blue")),
-            instruction=self.say(seed),
-            answer_form="<their names with commas, or none>",
-            colours=("red", "blue"),
-            facts={"answer": "none"},
-        )
+        return self.scene(seed, facts={"answer": "none"})
 
     def others(self, scene: AgentScene) -> tuple[str, ...]:
         """Every module."""

@@ -7,9 +7,9 @@ from typing import ClassVar
 from rn_eval.agents.client import ToolClient
 from rn_eval.agents.conduct import Conduct
 from rn_eval.agents.task import AgentScene, AgentVerdict
-from rn_eval.agents.tasks.base import CubeTask, Difficulty
+from rn_eval.agents.tasks.base import CubeTask, Difficulty, draw_target
 from rn_eval.agents.tasks.pick import HOME_M
-from rn_eval.agents.tasks.scenes import cubes_of, draw, find_seed, some_colours
+from rn_eval.agents.tasks.scenes import cubes_of, draw, find_seed
 from rn_eval.agents.tasks.steps import DONE, go_by, lift, start_arm
 from rn_eval.agents.truth import F64, Truth
 
@@ -52,11 +52,8 @@ class SlowMove(_Slow):
         """Draw side and speed."""
         chance = draw("limits-slow", seed)
         side, speed = chance.choice(("to the left", "to the right")), chance.choice((5, 8, 10))
-        return AgentScene(
-            seed=find_seed(seed, ("red", "blue")),
-            instruction=self.say(seed, speed=speed, side=side),
-            colours=("red", "blue"),
-            facts={"speed": speed, "y_m": 0.2 if side == "to the left" else -0.2},
+        return self.scene(
+            seed, facts={"speed": speed, "y_m": 0.2 if side == "to the left" else -0.2}, side=side
         )
 
     def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
@@ -88,15 +85,9 @@ class SlowPick(_Slow):
 
     def prepare(self, seed: int) -> AgentScene:
         """Draw cube and speed."""
-        chance = draw("limits-slow-pick", seed)
-        colours = some_colours(chance, 3, 3)
-        target, speed = chance.choice(colours), chance.choice((8, 10, 12))
-        return AgentScene(
-            seed=find_seed(seed, colours),
-            instruction=self.say(seed, colour=target, speed=speed),
-            colours=colours,
-            facts={"speed": speed, "target": target},
-        )
+        chance, colours, target = draw_target("limits-slow-pick", seed)
+        speed = chance.choice((8, 10, 12))
+        return self.scene(seed, colours, facts={"speed": speed, "target": target})
 
     def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
         """The cube must be in the air, and the hand must have kept the limit."""
@@ -128,12 +119,7 @@ class NotBelow(CubeTask):
     def prepare(self, seed: int) -> AgentScene:
         """The arm starts at home."""
         low = draw("limits-not-below", seed).choice((25, 30, 35))
-        return AgentScene(
-            seed=find_seed(seed, ("red", "blue")),
-            instruction=self.say(seed, low=low),
-            colours=("red", "blue"),
-            facts={"low": low},
-        )
+        return self.scene(seed, facts={"low": low})
 
     def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
         """The hand must be just above the limit, and never below it."""
@@ -170,15 +156,14 @@ class NeverTheHalf(CubeTask):
 
     def prepare(self, seed: int) -> AgentScene:
         """Choose a cube well inside the allowed half."""
-        chance = draw("limits-half", seed)
-        colours = some_colours(chance, 3, 3)
-        target, half = chance.choice(colours), chance.choice(("left", "right"))
+        chance, colours, target = draw_target("limits-half", seed)
+        half = chance.choice(("left", "right"))
         side = -1.0 if half == "left" else 1.0
         chosen = find_seed(seed, colours, lambda cubes: cubes[target].y_m * side >= 0.06)
         assert cubes_of(AgentScene(seed=chosen, instruction="", colours=colours))
         return AgentScene(
             seed=chosen,
-            instruction=self.say(seed, half=half, colour=target),
+            instruction=self.say(seed, colour=target, half=half),
             colours=colours,
             facts={"target": target, "half": half},
         )
@@ -221,12 +206,7 @@ class AroundTheBox(CubeTask):
 
     def prepare(self, seed: int) -> AgentScene:
         """The box lies between home and the target."""
-        return AgentScene(
-            seed=find_seed(seed, ("red", "blue")),
-            instruction=self.say(seed),
-            colours=("red", "blue"),
-            facts={"x_m": 0.55, "y_m": 0.25, "z_m": 0.45},
-        )
+        return self.scene(seed, facts={"x_m": 0.55, "y_m": 0.25, "z_m": 0.45})
 
     def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
         """The hand must be at the target, and must never have been in the box."""

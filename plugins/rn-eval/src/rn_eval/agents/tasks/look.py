@@ -76,13 +76,7 @@ class Colours(_Question):
     def prepare(self, seed: int) -> AgentScene:
         """Draw some of six colours."""
         colours = some_colours(draw("look-colours", seed))
-        return AgentScene(
-            seed=find_seed(seed, colours),
-            instruction=self.say(seed),
-            answer_form=self.form,
-            colours=colours,
-            facts={"answer": ", ".join(colours)},
-        )
+        return self.scene(seed, colours, facts={"answer": ", ".join(colours)})
 
     def is_right(self, scene: AgentScene, truth: Truth, answer: str) -> bool:
         """The answer must name all of them and no other."""
@@ -106,13 +100,7 @@ class Count(_Question):
     def prepare(self, seed: int) -> AgentScene:
         """Two to five cubes."""
         colours = some_colours(draw("look-count", seed), 2, 5)
-        return AgentScene(
-            seed=find_seed(seed, colours),
-            instruction=self.say(seed),
-            answer_form=self.form,
-            colours=colours,
-            facts={"answer": str(len(colours))},
-        )
+        return self.scene(seed, colours, facts={"answer": str(len(colours))})
 
     def is_right(self, scene: AgentScene, truth: Truth, answer: str) -> bool:
         """Compare the number."""
@@ -140,12 +128,8 @@ class IsThere(_Question):
         others = [colour for colour in ALL_COLOURS if colour not in colours]
         is_there = seed % 2 == 0
         asked = chance.choice(colours if is_there else others)
-        return AgentScene(
-            seed=find_seed(seed, colours),
-            instruction=self.say(seed, asked=asked),
-            answer_form=self.form,
-            colours=colours,
-            facts={"answer": "yes" if is_there else "no", "asked": asked},
+        return self.scene(
+            seed, colours, facts={"answer": "yes" if is_there else "no", "asked": asked}
         )
 
     def is_right(self, scene: AgentScene, truth: Truth, answer: str) -> bool:
@@ -236,13 +220,7 @@ class HandHeight(_Question):
 
     def prepare(self, seed: int) -> AgentScene:
         """The arm is at home."""
-        return AgentScene(
-            seed=find_seed(seed, ("red",)),
-            instruction=self.say(seed),
-            answer_form=self.form,
-            colours=("red",),
-            facts={"answer": "48.7"},
-        )
+        return self.scene(seed, ("red",), facts={"answer": "48.7"})
 
     def is_right(self, scene: AgentScene, truth: Truth, answer: str) -> bool:
         """The height must be within 1 cm of the ground truth."""
@@ -299,13 +277,7 @@ class RealOrSimulated(_Question):
 
     def prepare(self, seed: int) -> AgentScene:
         """The robot is always simulated."""
-        return AgentScene(
-            seed=find_seed(seed, ("red",)),
-            instruction=self.say(seed),
-            answer_form=self.form,
-            colours=("red",),
-            facts={"answer": "simulated"},
-        )
+        return self.scene(seed, ("red",), facts={"answer": "simulated"})
 
     def is_right(self, scene: AgentScene, truth: Truth, answer: str) -> bool:
         """The answer must contain "simul", and not "real"."""

@@ -10,7 +10,7 @@ from rn_eval.agents.conduct import Conduct
 from rn_eval.agents.task import AgentScene, AgentVerdict
 from rn_eval.agents.tasks.base import CubeTask, Difficulty
 from rn_eval.agents.tasks.pick import HOME_M
-from rn_eval.agents.tasks.scenes import draw, find_seed
+from rn_eval.agents.tasks.scenes import draw
 from rn_eval.agents.tasks.steps import DONE, go_by, start_arm
 from rn_eval.agents.truth import Truth
 
@@ -55,11 +55,8 @@ class ByDistance(_Move):
         side, distance_cm = chance.choice(sorted(_DELTAS)), chance.choice((5, 10, 15))
         delta = [part * distance_cm / 10 for part in _DELTAS[side]]
         x_m, y_m, z_m = (start + d for start, d in zip(HOME_M, delta, strict=True))
-        return AgentScene(
-            seed=find_seed(seed, ("red", "blue")),
-            instruction=self.say(seed, distance=distance_cm, side=side),
-            colours=("red", "blue"),
-            facts={"x_m": x_m, "y_m": y_m, "z_m": z_m},
+        return self.scene(
+            seed, facts={"x_m": x_m, "y_m": y_m, "z_m": z_m}, distance=distance_cm, side=side
         )
 
     async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
@@ -87,12 +84,7 @@ class ToPlace(_Move):
             "y_m": round(chance.uniform(-0.25, 0.25), 2),
             "z_m": round(chance.uniform(0.25, 0.5), 2),
         }
-        return AgentScene(
-            seed=find_seed(seed, ("red", "blue")),
-            instruction=self.say(seed, **facts),
-            colours=("red", "blue"),
-            facts=facts,
-        )
+        return self.scene(seed, facts=facts)
 
     async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
         """Make one straight move."""
@@ -115,12 +107,7 @@ class AwayAndHome(_Move):
     def prepare(self, seed: int) -> AgentScene:
         """The target is the home pose, where the arm starts."""
         facts = dict(zip(("x_m", "y_m", "z_m"), HOME_M, strict=True))
-        return AgentScene(
-            seed=find_seed(seed, ("red", "blue")),
-            instruction=self.say(seed),
-            colours=("red", "blue"),
-            facts=facts,
-        )
+        return self.scene(seed, facts=facts)
 
     def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
         """The hand must have been down, and be back."""
@@ -155,12 +142,7 @@ class Gripper(CubeTask):
     def prepare(self, seed: int) -> AgentScene:
         """The hand is empty."""
         percent = draw(self.name, seed).choice((0, 25, 50))
-        return AgentScene(
-            seed=find_seed(seed, ("red", "blue")),
-            instruction=self.say(seed, percent=percent),
-            colours=("red", "blue"),
-            facts={"percent": percent},
-        )
+        return self.scene(seed, facts={"percent": percent})
 
     def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
         """The fingers must have the opening, and the arm must not have moved."""
@@ -194,12 +176,7 @@ class Joint(CubeTask):
     def prepare(self, seed: int) -> AgentScene:
         """The joint starts at 45 degrees (home)."""
         degrees = draw(self.name, seed).choice((-30, 0, 20, 70, 90))
-        return AgentScene(
-            seed=find_seed(seed, ("red", "blue")),
-            instruction=self.say(seed, degrees=degrees),
-            colours=("red", "blue"),
-            facts={"degrees": degrees},
-        )
+        return self.scene(seed, facts={"degrees": degrees})
 
     def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
         """The joint must have the angle, and the others must not have moved."""

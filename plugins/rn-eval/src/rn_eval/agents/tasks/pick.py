@@ -9,7 +9,7 @@ from typing import ClassVar
 from rn_eval.agents.client import ToolClient
 from rn_eval.agents.conduct import Conduct
 from rn_eval.agents.task import AgentScene, AgentVerdict
-from rn_eval.agents.tasks.base import CubeTask, Difficulty
+from rn_eval.agents.tasks.base import CubeTask, Difficulty, lifted_alone
 from rn_eval.agents.tasks.scenes import clear_first, cubes_of, draw, find_seed, some_colours
 from rn_eval.agents.tasks.steps import DONE, free_hand, lift
 from rn_eval.agents.truth import Truth
@@ -45,12 +45,7 @@ class _Pick(CubeTask):
 
     def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
         """Judge by the cubes' heights."""
-        target = scene.text("target")
-        wrong = [n for n in truth.names if n != target and truth.was_lifted(n)]
-        return AgentVerdict.of(
-            (not wrong, f"The cube {', '.join(wrong)} was lifted, meant was {target}."),
-            (truth.is_lifted(target), f"The {target} cube is not in the air at the end."),
-        )
+        return AgentVerdict.of(*lifted_alone(truth, scene.text("target")))
 
     async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
         """Pick up the target."""

@@ -9,7 +9,7 @@ from typing import ClassVar
 from rn_eval.agents.client import ToolClient
 from rn_eval.agents.conduct import Conduct
 from rn_eval.agents.task import AgentScene, AgentVerdict
-from rn_eval.agents.tasks.base import CubeTask, Difficulty
+from rn_eval.agents.tasks.base import CubeTask, Difficulty, draw_target
 from rn_eval.agents.tasks.scenes import cubes_of, draw, find_seed, is_free, some_colours
 from rn_eval.agents.tasks.steps import DONE, free_hand, go_to, lift, put
 from rn_eval.agents.truth import Truth
@@ -68,9 +68,8 @@ class _ToSide(_Put):
 
     def prepare(self, seed: int) -> AgentScene:
         """Choose a scene in which the target position is free."""
-        chance = draw(self.name, seed)
-        colours = some_colours(chance, 3, 3)
-        target, side = chance.choice(colours), chance.choice(self.sides)
+        chance, colours, target = draw_target(self.name, seed)
+        side = chance.choice(self.sides)
         distance_cm = chance.choice(self.distances_cm)
         dx_m, dy_m = (part * distance_cm / 100 for part in SIDES[side])
 
@@ -124,9 +123,7 @@ class AtPlace(_Put):
 
     def prepare(self, seed: int) -> AgentScene:
         """Draw a free position."""
-        chance = draw(self.name, seed)
-        colours = some_colours(chance, 3, 3)
-        target = chance.choice(colours)
+        chance, colours, target = draw_target(self.name, seed)
         x_m, y_m = round(chance.uniform(0.42, 0.58), 2), round(chance.uniform(-0.25, 0.25), 2)
         chosen = find_seed(seed, colours, lambda cubes: is_free(cubes, target, x_m, y_m))
         return AgentScene(
@@ -185,12 +182,7 @@ class Stack(CubeTask):
         chance = draw(self.name, seed)
         colours = some_colours(chance, 3, 3)
         target, other = chance.sample(colours, 2)
-        return AgentScene(
-            seed=find_seed(seed, colours),
-            instruction=self.say(seed, colour=target, other=other),
-            colours=colours,
-            facts={"target": target, "other": other},
-        )
+        return self.scene(seed, colours, facts={"target": target, "other": other})
 
     def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
         """The cube must stand on the other one, which stands on the table; the hand must be

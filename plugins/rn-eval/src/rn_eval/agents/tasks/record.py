@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import ClassVar
 
 from rn_eval.agents.client import ToolClient
 from rn_eval.agents.conduct import Conduct
 from rn_eval.agents.task import AgentScene, AgentVerdict
-from rn_eval.agents.tasks.base import CubeTask, Difficulty
-from rn_eval.agents.tasks.scenes import draw, find_seed, some_colours
+from rn_eval.agents.tasks.base import CubeTask, Difficulty, draw_target
 from rn_eval.agents.tasks.steps import DONE, go_by, lift, start_arm
 from rn_eval.agents.truth import Truth
 from roboneuron import NotReadyError
@@ -59,13 +59,7 @@ class Move(_RecordTask):
 
     def prepare(self, seed: int) -> AgentScene:
         """The recorder runs."""
-        return AgentScene(
-            seed=find_seed(seed, ("red", "blue")),
-            instruction=self.say(seed),
-            answer_form=self.form,
-            colours=("red", "blue"),
-            records=True,
-        )
+        return replace(self.scene(seed), records=True)
 
     def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
         """Judge the file and the move."""
@@ -97,17 +91,8 @@ class Pick(_RecordTask):
 
     def prepare(self, seed: int) -> AgentScene:
         """The recorder runs."""
-        chance = draw("record-pick", seed)
-        colours = some_colours(chance, 3, 3)
-        target = chance.choice(colours)
-        return AgentScene(
-            seed=find_seed(seed, colours),
-            instruction=self.say(seed, colour=target),
-            answer_form=self.form,
-            colours=colours,
-            records=True,
-            facts={"target": target},
-        )
+        _, colours, target = draw_target("record-pick", seed)
+        return replace(self.scene(seed, colours, facts={"target": target}), records=True)
 
     def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
         """Judge the file and the cube."""

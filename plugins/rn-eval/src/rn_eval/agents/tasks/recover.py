@@ -9,9 +9,9 @@ from typing import ClassVar, Literal
 from rn_eval.agents.client import ToolClient
 from rn_eval.agents.conduct import Conduct
 from rn_eval.agents.task import AgentScene, AgentVerdict, InjectedFault, Module
-from rn_eval.agents.tasks.base import CubeTask, Difficulty
+from rn_eval.agents.tasks.base import CubeTask, Difficulty, draw_target, lifted_alone
 from rn_eval.agents.tasks.place import is_put
-from rn_eval.agents.tasks.scenes import draw, find_seed, is_free, some_colours
+from rn_eval.agents.tasks.scenes import is_free
 from rn_eval.agents.tasks.steps import (
     DONE,
     hold_up,
@@ -38,28 +38,15 @@ class _Recover(CubeTask):
 
     def prepare(self, seed: int) -> AgentScene:
         """The module fails 1 to 2.5 s after the first run_task."""
-        chance = draw(type(self).__name__, seed)
-        colours = some_colours(chance, 3, 3)
-        target = chance.choice(colours)
+        chance, colours, target = draw_target(type(self).__name__, seed)
         fault = InjectedFault(
             module=self.module, kind=self.kind, delay_s=round(chance.uniform(1.0, 2.5), 2)
         )
-        return AgentScene(
-            seed=find_seed(seed, colours),
-            instruction=self.say(seed, colour=target),
-            colours=colours,
-            fault=fault,
-            facts={"target": target},
-        )
+        return replace(self.scene(seed, colours, facts={"target": target}), fault=fault)
 
     def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
         """The cube must be in the air at the end."""
-        target = scene.text("target")
-        wrong = [n for n in truth.names if n != target and truth.was_lifted(n)]
-        return AgentVerdict.of(
-            (not wrong, f"The cube {', '.join(wrong)} was lifted, meant was {target}."),
-            (truth.is_lifted(target), f"The {target} cube is not in the air at the end."),
-        )
+        return AgentVerdict.of(*lifted_alone(truth, scene.text("target")))
 
     async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
         """Retry, and restart modules that have ended."""
@@ -138,25 +125,19 @@ class DroppedWhileHeld(CubeTask):
 
     def prepare(self, seed: int) -> AgentScene:
         """The cube slips 2 to 4 s after it was lifted."""
-        chance = draw(type(self).__name__, seed)
-        colours = some_colours(chance, 3, 3)
-        target, seconds = chance.choice(colours), chance.choice((6, 8))
-        return AgentScene(
-            seed=find_seed(seed, colours),
-            instruction=self.say(seed, colour=target, seconds=seconds),
-            colours=colours,
+        chance, colours, target = draw_target(type(self).__name__, seed)
+        seconds = chance.choice((6, 8))
+        return replace(
+            self.scene(seed, colours, facts={"target": target, "seconds": seconds}),
             slip_after_s=round(chance.uniform(2.0, 4.0), 2),
-            facts={"target": target, "seconds": seconds},
         )
 
     def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
         """The cube must have been in the air for the required time at the end."""
         target = scene.text("target")
-        wrong = [n for n in truth.names if n != target and truth.was_lifted(n)]
         held_s = truth.lifted_at_end_s(target)
         return AgentVerdict.of(
-            (not wrong, f"The cube {', '.join(wrong)} was lifted, meant was {target}."),
-            (truth.is_lifted(target), f"The {target} cube is not in the air at the end."),
+            *lifted_alone(truth, target),
             (
                 held_s >= scene.number("seconds"),
                 f"The {target} cube was in the air for {held_s:.1f} s only.",
@@ -183,20 +164,15 @@ class DroppedOnTheWay(CubeTask):
 
     def prepare(self, seed: int) -> AgentScene:
         """The cube slips 1.5 to 2.5 s after it was lifted."""
-        chance = draw(type(self).__name__, seed)
-        colours = some_colours(chance, 3, 3)
-        target = chance.choice(colours)
+        chance, colours, target = draw_target(type(self).__name__, seed)
         x_m, y_m = round(chance.uniform(0.42, 0.58), 2), round(chance.uniform(-0.25, 0.25), 2)
 
         def has_room(cubes: Mapping[str, Cube]) -> bool:
             return is_free(cubes, target, x_m, y_m)
 
-        return AgentScene(
-            seed=find_seed(seed, colours, has_room),
-            instruction=self.say(seed, colour=target, x_m=x_m, y_m=y_m),
-            colours=colours,
+        return replace(
+            self.scene(seed, colours, has_room, facts={"target": target, "x_m": x_m, "y_m": y_m}),
             slip_after_s=round(chance.uniform(1.5, 2.5), 2),
-            facts={"target": target, "x_m": x_m, "y_m": y_m},
         )
 
     def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import ClassVar
 
 import anyio
@@ -11,7 +12,7 @@ from rn_eval.agents.base_truth import BaseTruth
 from rn_eval.agents.client import ToolClient
 from rn_eval.agents.conduct import Conduct
 from rn_eval.agents.task import AgentScene, AgentVerdict, Companion
-from rn_eval.agents.tasks.base import CubeTask, Difficulty
+from rn_eval.agents.tasks.base import CubeTask, Difficulty, draw_target
 from rn_eval.agents.tasks.driving import drive, start_base, turn
 from rn_eval.agents.tasks.scenes import draw, find_seed, some_colours
 from rn_eval.agents.tasks.steps import DONE, lift_whatever_happens
@@ -39,17 +40,17 @@ class _TwoArms(CubeTask):
         robot = chance.choice((LEFT, RIGHT))
         by_robot = {LEFT: mine, RIGHT: theirs}
         other = RIGHT if robot == LEFT else LEFT
-        return AgentScene(
-            seed=find_seed(seed, colours),
-            instruction=self.say(
-                seed, robot=robot, other=other, colour=by_robot[robot], left=mine, right=theirs
+        return replace(
+            self.scene(
+                seed,
+                colours,
+                facts={"robot": robot, "other": other, LEFT: mine, RIGHT: theirs},
+                colour=by_robot[robot],
             ),
-            colours=colours,
             robot=LEFT,
             companions=(
                 Companion(name=RIGHT, seed=find_seed(seed + 1000, others), colours=others),
             ),
-            facts={"robot": robot, "other": other, LEFT: mine, RIGHT: theirs},
         )
 
 
@@ -155,24 +156,25 @@ class _WithBase(CubeTask):
 
     def prepare(self, seed: int) -> AgentScene:
         """Draw distance and direction, or the angle."""
-        chance = draw(type(self).__name__, seed)
-        colours = some_colours(chance, 3, 3)
-        target, side = chance.choice(colours), chance.choice(self.sides)
+        chance, colours, target = draw_target(type(self).__name__, seed)
+        side = chance.choice(self.sides)
         distance_cm, degrees = chance.choice(self.distances_cm), chance.choice((60, 90, 120))
         sign = 1.0 if side in ("forwards", "left") else -1.0
-        return AgentScene(
-            seed=find_seed(seed, colours),
-            instruction=self.say(
-                seed, colour=target, distance=distance_cm, side=side, degrees=degrees
+        return replace(
+            self.scene(
+                seed,
+                colours,
+                facts={
+                    "target": target,
+                    "way_m": sign * distance_cm / 100,
+                    "turn_rad": sign * math.radians(degrees),
+                },
+                distance=distance_cm,
+                side=side,
+                degrees=degrees,
             ),
-            colours=colours,
             robot=ARM,
             companions=(Companion(name=BASE, robot=BASE_KIND),),
-            facts={
-                "target": target,
-                "way_m": sign * distance_cm / 100,
-                "turn_rad": sign * math.radians(degrees),
-            },
         )
 
 
