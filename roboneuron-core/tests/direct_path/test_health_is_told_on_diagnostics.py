@@ -8,7 +8,7 @@ from typing import Any, cast
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
-from roboneuron.direct_path.health_diagnostics import HealthDiagnostics
+from roboneuron.direct_path.feature import HealthDiagnostics
 from roboneuron.supervisor.health import Health, ModuleView
 
 PLAN = SimpleNamespace(config=SimpleNamespace(namespace="cell"))

@@ -8,8 +8,10 @@ import os
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING
 
 from rn_interfaces.cache import installed
 from rn_interfaces.definitions import Outline, by_package, circles, outline
@@ -18,9 +20,16 @@ from rn_interfaces.found import FoundDefinition, FoundDefinitions, Refusal
 from rn_interfaces.generate import describe
 from rn_interfaces.sizes import sizes
 from rn_interfaces.store import DefinitionStore, Interface, Name, Origin, write
-from rn_interfaces.stores import known_definition
 from rn_interfaces.trying import failures
 from roboneuron import ConfigurationError
+
+if TYPE_CHECKING:
+    from rosbags.typesys.store import Typestore
+
+
+_RULE = "=" * 80
+_NEWEST = ("ROS2_JAZZY", "ROS2_LYRICAL", "ROS2_KILTED", "ROS2_IRON", "ROS2_HUMBLE")
+"""Distributions in the order of the search: that of the wheels, then others, newest first."""
 
 
 @dataclass(kw_only=True, slots=True)
@@ -267,3 +276,23 @@ class _Lesson:
                 idl = (place / f"{name.word}.idl").read_text(encoding="utf-8")
                 origin = Origin(source, hashes[str(name)])
                 yield name, Interface(text, idl, descriptions, origin)
+
+
+def known_definition(name: Name) -> FoundDefinition | None:
+    """Return the definition of a message from the first distribution that has it; without comments.
+
+    Services and actions are not included.
+    """
+    for distribution in _NEWEST:
+        store = _store(distribution)
+        if str(name) in store.types:
+            text, _ = store.generate_msgdef(str(name), ros_version=2)
+            return FoundDefinition(text.partition(_RULE)[0], f"rosbags, {distribution.lower()}")
+    return None
+
+
+@cache
+def _store(distribution: str) -> Typestore:
+    from rosbags.typesys import Stores, get_typestore  # heavy
+
+    return get_typestore(Stores[distribution])

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections import Counter, deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
@@ -19,11 +20,13 @@ from numpy.typing import NDArray
 
 from rn_recorder_runs import lerobot_meta as meta
 from rn_recorder_runs.acted import LED, WHO
-from rn_recorder_runs.episodes import RecordedEpisode
+from rn_recorder_runs.episodes import RecordedEpisode, stamp_of
+from rn_recorder_runs.files import Record, read_records
+from rn_recorder_runs.images import pixels_of
 from rn_recorder_runs.interventions import cut
 from rn_recorder_runs.lerobot_meta import ExportSource
 from rn_recorder_runs.lerobot_process import lerobot_writer
-from rn_recorder_runs.row_images import row_images
+from rn_recorder_runs.reading import RecordDecoder, camera_of
 from rn_recorder_runs.statistics import Stats, image_stats, merge, stats_of
 from rn_recorder_runs.store import Run
 from rn_recorder_runs.video import CameraVideo, Codec, sample_every
@@ -323,3 +326,36 @@ def _write_json(path: Path, value: Mapping[str, object]) -> None:
             hint="Export the runs one by one to find the one that contains it.",
         ) from error
     path.write_text(text, encoding="utf-8")
+
+
+def row_images(source: ExportSource) -> Iterator[dict[str, NDArray[np.uint8]]]:
+    """Yield the images by camera for each row of each episode, uint8 (H, W, 3) RGB.
+
+    One pass through the files; an image is kept undecoded until the last row that needs it.
+    """
+    rows = deque(
+        {camera: row.images[camera] for camera in source.cameras}
+        for episode in source.episodes
+        for row in episode.rows
+    )
+    needed = {camera: Counter(row[camera] for row in rows) for camera in source.cameras}
+    held: dict[str, dict[int, Record]] = {camera: {} for camera in source.cameras}
+    decoder = RecordDecoder()
+    for path in source.run.files:
+        for record in read_records(path, decoder.definitions):
+            camera = camera_of(record.topic)
+            if camera not in needed or not needed[camera][stamp_of(record.data)]:
+                continue
+            held[camera].setdefault(stamp_of(record.data), record)
+            while rows and all(stamp_ns in held[name] for name, stamp_ns in rows[0].items()):
+                row = rows.popleft()
+                found = {name: held[name][stamp_ns] for name, stamp_ns in row.items()}
+                yield {
+                    name: pixels_of(decoder.decode(record), record.type)
+                    for name, record in found.items()
+                }
+                for name, stamp_ns in row.items():
+                    needed[name][stamp_ns] -= 1
+                    if not needed[name][stamp_ns]:
+                        del held[name][stamp_ns]
+    assert not rows, "all images were there when the episodes were chosen"

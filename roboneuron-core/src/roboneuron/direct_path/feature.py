@@ -5,8 +5,10 @@ that passed it.
 from __future__ import annotations
 
 import logging
+import os
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from typing import TYPE_CHECKING
 
 from roboneuron.contract.profile import check_topic
 from roboneuron.direct_path.allow_list import AllowList
@@ -14,7 +16,6 @@ from roboneuron.direct_path.arbiter import MotionArbiter
 from roboneuron.direct_path.exposed import LEAD_LABEL
 from roboneuron.direct_path.fields import load_type
 from roboneuron.direct_path.gate import Gate
-from roboneuron.direct_path.health_diagnostics import HealthDiagnostics
 from roboneuron.direct_path.motion_gate import DirectGate
 from roboneuron.direct_path.options import DirectPathOptions
 from roboneuron.direct_path.places import FindTransform
@@ -27,6 +28,12 @@ from roboneuron.server.feature import Feature
 from roboneuron.server.host import Host
 from roboneuron.server.motion_gate import ExposedEndpoint, MotionGate
 from roboneuron.server.tool import CallContext, Tool
+from roboneuron.supervisor.health import EXPLANATIONS, FAULTS, Health, ModuleView
+
+if TYPE_CHECKING:
+    from diagnostic_msgs.msg import DiagnosticArray
+
+    from roboneuron.ros.link import RosLink
 
 log = logging.getLogger(__name__)
 _CLOSE_S = 2.0
@@ -212,3 +219,41 @@ class DirectPath(Feature[DirectPathOptions]):
 def direct_path(host: Host) -> DirectPath:
     """Return the direct path of a server. Raises StateError as `Host.feature`."""
     return host.feature(FEATURE.name, DirectPath)
+
+
+class HealthDiagnostics:
+    """Publishes every change of a module's health on /diagnostics, for modules that are frozen or
+    gone.
+    """
+
+    def __init__(self, link: Callable[[], RosLink]) -> None:
+        self._link = link
+        self._send: Callable[[DiagnosticArray], None] | None = None
+
+    def publish(self, view: ModuleView, before: Health, health: Health) -> None:
+        """Publish one change; a listener of `Events.health`."""
+        if view.plan is None:
+            return
+        from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue  # heavy
+
+        from roboneuron.ros import topics
+
+        if self._send is None:
+            self._send = self._link().advertise(DiagnosticArray, topics.DIAGNOSTICS)
+        level: bytes = DiagnosticStatus.OK
+        if health in FAULTS:
+            level = (
+                DiagnosticStatus.STALE if health in ("silent", "stuck") else DiagnosticStatus.ERROR
+            )
+        told = DiagnosticStatus(
+            level=level,
+            name=f"{view.plan.config.namespace}/supervisor/{view.kind}",
+            message=EXPLANATIONS[health],
+            hardware_id=str(os.getpid()),
+            values=[KeyValue(key="health", value=health), KeyValue(key="before", value=before)],
+        )
+        message = DiagnosticArray(status=[told])
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(
+            time.time_ns(), 1_000_000_000
+        )
+        self._send(message)

@@ -18,9 +18,8 @@ from roboneuron.contract import JointSample
 from roboneuron.direct_path.joint_messages import joint_commands
 from roboneuron.direct_path.limits import MessageChecks, check_endpoint, check_steering
 from roboneuron.direct_path.places import FindTransform, check_places, to_frame
-from roboneuron.direct_path.plan_frames import constraints_to_frame
 from roboneuron.direct_path.plan_scenes import check_plans
-from roboneuron.direct_path.plans import check_plan_only, watch_of
+from roboneuron.direct_path.plans import check_plan_only, constraints_to_frame, watch_of
 from roboneuron.direct_path.rate import RateLimit
 from roboneuron.direct_path.request import ROLE_BY_KIND, AllowedEndpoint
 from roboneuron.errors import RefusedError, RoboNeuronError

@@ -8,36 +8,51 @@ documentation.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from operator import attrgetter
 
 import numpy as np
 
 from roboneuron.contract import Endpoint, JointSample
+from roboneuron.contract.arrays import F64
 from roboneuron.direct_path.fields import load_type, nested, walk_fields
 from roboneuron.direct_path.message_types import MessageName, RosMessage
-from roboneuron.direct_path.places import check_rotation
+from roboneuron.direct_path.places import FindTransform, check_rotation, shift, turn
 from roboneuron.direct_path.planner_messages import (
+    BoundingVolume,
     Constraints,
     JointConstraint,
     LinkConstraint,
+    OrientationConstraint,
     PlanningOptions,
     PlanRequest,
     PositionConstraint,
+    Primitive,
 )
-from roboneuron.direct_path.regions import boxes_of
 from roboneuron.direct_path.request import AllowedEndpoint
-from roboneuron.errors import ConfigurationError, RefusedError
+from roboneuron.direct_path.transforms import rotation_of
+from roboneuron.errors import ConfigurationError, NotReadyError, RefusedError
 from roboneuron.gate.motion import joint_space
 from roboneuron.gate.motion.path_limits import Leg, LimitError, check_zones
 from roboneuron.gate.motion.path_watch import WayWatch
 from roboneuron.gate.motion.rules import MotionRules
+from roboneuron.server.motion_gate import Clamp
 
 REQUEST: MessageName[PlanRequest] = MessageName("moveit_msgs/msg/MotionPlanRequest")
 OPTIONS: MessageName[PlanningOptions] = MessageName("moveit_msgs/msg/PlanningOptions")
 BODIES: MessageName[RosMessage] = MessageName("trajectory_msgs/msg/MultiDOFJointTrajectory")
 MOST_TOLERANCE = 0.1
 """Largest tolerance of a joint [rad or m]; with a larger one the target posture is undetermined."""
+
+
+_SPHERE, _BOX, _CYLINDER, _CONE = 2, 1, 3, 4
+"""shape_msgs/SolidPrimitive."""
+
+
+_CONSTRAINTS: tuple[MessageName[PositionConstraint | OrientationConstraint], ...] = (
+    MessageName("moveit_msgs/msg/PositionConstraint"),
+    MessageName("moveit_msgs/msg/OrientationConstraint"),
+)
 
 
 def has_plans(ros_type: type[RosMessage]) -> bool:
@@ -247,8 +262,8 @@ class PlanJudge:
         for name in ("position_constraints", "orientation_constraints"):
             for index, part in enumerate(getattr(constraints, name)):
                 self._check_link(part, f"{where}{name}[{index}]")
-        for index, turn in enumerate(constraints.orientation_constraints):
-            check_rotation(f"{where}orientation_constraints[{index}].orientation", turn.orientation)
+        for index, goal in enumerate(constraints.orientation_constraints):
+            check_rotation(f"{where}orientation_constraints[{index}].orientation", goal.orientation)
 
     def _check_link(self, part: LinkConstraint, where: str) -> None:
         if part.link_name not in self._tips:
@@ -270,3 +285,72 @@ class PlanJudge:
                 hint="Start the robot first.",
             )
         return self._joints
+
+
+def boxes_of(region: BoundingVolume, where: str) -> Iterator[tuple[F64, F64]]:
+    """Yield the corners of axis-aligned boxes that contain the shapes of a BoundingVolume."""
+    if region.meshes:
+        raise RefusedError(
+            f"{where}.constraint_region.meshes cannot be checked.", hint="Give primitives."
+        )
+    if len(region.primitives) != len(region.primitive_poses):
+        raise RefusedError(
+            f"{where}.constraint_region has {len(region.primitives)} primitives and "
+            f"{len(region.primitive_poses)} primitive_poses."
+        )
+    for index, (shape, pose) in enumerate(
+        zip(region.primitives, region.primitive_poses, strict=True)
+    ):
+        path = f"{where}.constraint_region.primitive_poses[{index}]"
+        check_rotation(f"{path}.orientation", pose.orientation)
+        half_m = np.abs(rotation_of(pose.orientation)) @ _half_m(
+            shape, f"{where}.constraint_region"
+        )
+        centre_m = np.array([pose.position.x, pose.position.y, pose.position.z])
+        yield centre_m - half_m, centre_m + half_m
+
+
+def _half_m(shape: Primitive, where: str) -> F64:
+    """Half of the edges of a box that contains a shape, along its own axes."""
+    counts: Mapping[int, int] = {_BOX: 3, _SPHERE: 1, _CYLINDER: 2, _CONE: 2}
+    sizes = [float(size) for size in shape.dimensions]
+    if len(sizes) != counts.get(shape.type, -1) or min(sizes) < 0.0:
+        raise RefusedError(
+            f"{where}: dimensions {sizes} are not those of a primitive of type {shape.type}."
+        )
+    if shape.type == _BOX:
+        return np.array(sizes) / 2.0
+    if shape.type == _SPHERE:
+        return np.full(3, sizes[0])
+    height, radius = sizes
+    return np.array([radius, radius, height / 2.0])
+
+
+def constraints_to_frame(message: RosMessage, base_link: str, find: FindTransform) -> list[Clamp]:
+    """Convert the constraints of position and orientation in a message to the frame of the arm's
+    base with the present transforms, so that the checked message is the sent one.
+
+    Returns:
+        The changed coordinates [m].
+
+    Raises:
+        LimitError: of the limit "frame": a transform is unknown, old, or invalid.
+    """
+    changes: list[Clamp] = []
+    for path, part in nested(message, _CONSTRAINTS):
+        source = part.header.frame_id
+        if not source or source == base_link:
+            continue
+        try:
+            found = find(base_link, source)
+        except NotReadyError as error:
+            raise LimitError("frame", f"{path}header.frame_id: {error.message}") from error
+        if hasattr(part, "orientation"):
+            turn(part.orientation, found, f"{path}orientation")
+        else:
+            for index, pose in enumerate(part.constraint_region.primitive_poses):
+                where = f"{path}constraint_region.primitive_poses[{index}]"
+                turn(pose.orientation, found, f"{where}.orientation")
+                changes += shift(pose.position, found, f"{where}.position")
+        part.header.frame_id = base_link
+    return changes
