@@ -21,13 +21,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from plugin_site import installed
-from soak_cell import Agent, until
+from soak_cell import until
 
 from rn_robot_fr3.fci.addresses import free_address
 from rn_robot_fr3.fci.simulator import FrankaSim
 from rn_robot_fr3.limits import ARM_JOINTS
 from rn_robot_fr3.profile import HOME_RAD
-from rn_testing.agent import blocking_client
+from rn_testing.agent import BlockingAgent, blocking_client
 from roboneuron.ros.environment import prepare_environment
 
 sys.path.append(str(Path(__file__).parents[1] / "plugins" / "rn-robot-fr3" / "tests"))
@@ -131,7 +131,12 @@ class FciCell:
     """
 
     def __init__(
-        self, agent: Agent, link: Any, sim: FrankaSim, folder: Path, box: ControlBox | None = None
+        self,
+        agent: BlockingAgent,
+        link: Any,
+        sim: FrankaSim,
+        folder: Path,
+        box: ControlBox | None = None,
     ) -> None:
         self.agent, self.link, self.folder, self.box = agent, link, folder, box
         self._sim = sim
@@ -238,7 +243,7 @@ def served_fci(
         link.open()
         try:
             with blocking_client(path, os.environ, "--log-level", "error") as (client, portal):
-                yield FciCell(Agent(client, portal), link, sim, folder, box)
+                yield FciCell(BlockingAgent(client, portal), link, sim, folder, box)
         finally:
             link.close()
 

@@ -18,7 +18,7 @@ from plugin_site import installed
 
 from rn_robot_fr3.limits import ARM_JOINTS
 from rn_robot_fr3.profile import HOME_RAD
-from rn_testing.agent import blocking_client
+from rn_testing.agent import BlockingAgent, blocking_client
 from roboneuron.ros.environment import prepare_environment
 
 STILL_RAD_S = 0.02
@@ -130,7 +130,7 @@ class Witness:
         return float(np.abs(np.array(positions) - positions[0]).max())
 
 
-class Cell:
+class Cell(BlockingAgent):
     """A served robot; calls block.
 
     Args:
@@ -140,26 +140,8 @@ class Cell:
     def __init__(
         self, client: Client, portal: BlockingPortal, link: Any, namespace: str, robot: str = ""
     ) -> None:
-        self._client, self._portal = client, portal
-        self._robot = {"robot": robot} if robot else {}
+        super().__init__(client, portal, **({"robot": robot} if robot else {}))
         self.witness = Witness(link, namespace)
-
-    def ask(self, tool: str, **arguments: Any) -> Any:
-        """Call a tool; errors are answers too."""
-        return self._portal.call(self._client.call_tool, tool, {**self._robot, **arguments})
-
-    def do(self, tool: str, **arguments: Any) -> dict[str, Any]:
-        """Call a tool; RuntimeError if it fails."""
-        answer = self.ask(tool, **arguments)
-        if answer.is_error:
-            raise RuntimeError(f"{tool}: {answer.content[0].text}")
-        return dict(answer.structured_content or {})
-
-    def modules(self) -> dict[str, dict[str, Any]]:
-        """get_status by module."""
-        return {
-            module["module"]: module for module in self.do("get_status", details=True)["modules"]
-        }
 
     def run(self, *kinds: str) -> None:
         """Run these modules; inference without an instruction, or not at all."""

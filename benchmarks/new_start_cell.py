@@ -23,7 +23,7 @@ from plugin_site import installed
 
 from rn_robot_fr3.fci.simulator import FrankaSim
 from rn_standard.ops.maintenance import MaintenanceFile
-from rn_testing.agent import blocking_client
+from rn_testing.agent import BlockingAgent, blocking_client
 from roboneuron.estop import ESTOP_FILE, RESET_SUFFIX, EmergencyStopLatch
 from roboneuron.feature import AuditLog, Role
 from roboneuron.ros.environment import prepare_environment
@@ -86,7 +86,7 @@ WATCH_S = 1.5
 BRAKE_S = 3.0
 
 
-class Cell:
+class Cell(BlockingAgent):
     """The cell of the sequences; calls block."""
 
     def __init__(
@@ -98,28 +98,12 @@ class Cell:
         folder: Path,
         sim: FrankaSim | None = None,
     ) -> None:
-        self._client, self._portal, self.folder = client, portal, folder
+        super().__init__(client, portal)
+        self.folder = folder
         self.witness, self._link, self._sim = witness, link, sim
         self._robot = "fr3r" if sim is None else "fr3"
         self._calls: list[Future[Any]] = []
         self._frozen: set[int] = set()
-
-    def ask(self, tool: str, **arguments: Any) -> Any:
-        """Call a tool and return the answer, including errors."""
-        return self._portal.call(self._client.call_tool, tool, arguments)
-
-    def do(self, tool: str, **arguments: Any) -> dict[str, Any]:
-        """Call a tool and return its structured content; RuntimeError if it fails."""
-        answer = self.ask(tool, **arguments)
-        if answer.is_error:
-            raise RuntimeError(f"{tool}: {answer.content[0].text}")
-        return dict(answer.structured_content or {})
-
-    def modules(self) -> dict[str, dict[str, Any]]:
-        """get_status by module."""
-        return {
-            module["module"]: module for module in self.do("get_status", details=True)["modules"]
-        }
 
     def later(self, tool: str, **arguments: Any) -> None:
         """Call without waiting."""

@@ -7,16 +7,17 @@ import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from anyio.from_thread import start_blocking_portal
 
 from rn_standard.console.client import spawned_server
+from rn_testing.agent import BlockingAgent
 from rn_testing.domain import free_ros_domain
 from rn_testing.waiting import wait_until
 
 
-class PageCell:
+class PageCell(BlockingAgent):
     """A server whose modules run.
 
     Args:
@@ -38,21 +39,15 @@ class PageCell:
     ) -> None:
         path, log = folder / "roboneuron.toml", folder / "log.txt"
         path.write_text(config)
-        self._portal = stack.enter_context(start_blocking_portal())
+        portal = stack.enter_context(start_blocking_portal())
         server = spawned_server(["--config", str(path)], log)
-        self._client = stack.enter_context(self._portal.wrap_async_context_manager(server))
+        client = stack.enter_context(portal.wrap_async_context_manager(server))
+        super().__init__(client, portal)
         for module in modules:
             self.do(f"start_{module}")
         pattern = r"live view is at (http://[\d.]+:\d+)"
         wait_until(lambda: bool(re.search(pattern, log.read_text())), 60.0, poll_s=0.1)
         self.url = re.findall(pattern, log.read_text())[0]
-
-    def do(self, tool: str, **arguments: Any) -> dict[str, Any]:
-        """Call a tool as the agent. Raises RuntimeError with the text of a failure."""
-        answer = self._portal.call(self._client.call_tool, tool, arguments)
-        if answer.is_error:
-            raise RuntimeError(str(answer.content))
-        return dict(answer.structured_content or {})
 
 
 C = TypeVar("C", bound=PageCell)

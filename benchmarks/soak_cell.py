@@ -10,40 +10,15 @@ import signal
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import psutil
-from anyio.from_thread import BlockingPortal
 from fault_loop import PARTS, JointWitness, config_text, environment, fail
-from mcp import Client
 
-from rn_testing.agent import blocking_client
+from rn_testing.agent import BlockingAgent, blocking_client
 from roboneuron.ros.environment import prepare_environment
 
 SETTLE_S = 3.0
 """A process younger than this is still loading and is not sampled [s]."""
-
-
-class Agent:
-    """The MCP client; calls block."""
-
-    def __init__(self, client: Client, portal: BlockingPortal) -> None:
-        self._client, self._portal = client, portal
-
-    def do(self, tool: str, **arguments: Any) -> dict[str, Any]:
-        """Call a tool and return the structured content; RuntimeError with the server's reason when
-        it fails.
-        """
-        answer = self._portal.call(self._client.call_tool, tool, arguments)
-        if answer.is_error:
-            raise RuntimeError(f"{tool}: {answer.content[0].text}")
-        return dict(answer.structured_content or {})
-
-    def modules(self) -> dict[str, dict[str, Any]]:
-        """get_status by module."""
-        return {
-            module["module"]: module for module in self.do("get_status", details=True)["modules"]
-        }
 
 
 def until(fact: Callable[[], bool], timeout_s: float, what: str) -> None:
@@ -59,7 +34,7 @@ class Cell:
     """The loop under test, its faults and its joints."""
 
     def __init__(
-        self, agent: Agent, witness: JointWitness, folder: Path, server: psutil.Process
+        self, agent: BlockingAgent, witness: JointWitness, folder: Path, server: psutil.Process
     ) -> None:
         self.agent, self.witness, self.folder, self.server = agent, witness, folder, server
         self._segments: set[str] = set()
@@ -250,7 +225,7 @@ def served_cell(
         try:
             witness = JointWitness(link.node, link.on_executor)
             with blocking_client(path, os.environ, "--log-level", "error") as (client, portal):
-                agent = Agent(client, portal)
+                agent = BlockingAgent(client, portal)
                 yield Cell(agent, witness, folder, psutil.Process(agent.do("get_status")["pid"]))
         finally:
             link.close()

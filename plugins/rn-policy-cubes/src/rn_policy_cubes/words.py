@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rn_policy_cubes.demonstrations import COLOURS
 from rn_policy_cubes.network import STOP_ID
 from rn_policy_cubes.recipe import PADDING, VOCABULARY
-from rn_vla.openvla.prompt import BOS_ID, FINAL_ID, PromptEncoder
+from rn_vla.openvla.prompt import BOS_ID, FINAL_ID, PromptEncoder, save_tokenizer
 
 I64 = NDArray[np.int64]
 
@@ -44,8 +44,6 @@ def write_tokenizer(path: Path) -> None:
 
     Other words are encoded as letters and bytes, as usual.
     """
-    from tokenizers import Tokenizer, models, normalizers, processors
-
     vocabulary = {"<unk>": 0, "<s>": BOS_ID, "</s>": STOP_ID}
     vocabulary |= {f"<0x{byte:02X}>": 3 + byte for byte in range(256)}
     pieces = ["\n", *(chr(code) for code in range(33, 127))]
@@ -63,22 +61,7 @@ def write_tokenizer(path: Path) -> None:
         f"<unused_{index}>": index for index in range(len(vocabulary), base) if index != FINAL_ID
     }
     vocabulary["▁"] = FINAL_ID
-    tokenizer = Tokenizer(
-        models.BPE(
-            vocab=vocabulary,
-            merges=list(dict.fromkeys(merges)),
-            unk_token="<unk>",
-            fuse_unk=True,
-            byte_fallback=True,
-        )
-    )
-    tokenizer.normalizer = normalizers.Sequence(
-        [normalizers.Prepend("▁"), normalizers.Replace(" ", "▁")]
-    )
-    tokenizer.post_processor = processors.TemplateProcessing(
-        single="<s> $A", special_tokens=[("<s>", BOS_ID)]
-    )
-    tokenizer.save(str(path))
+    save_tokenizer(path, vocabulary, merges)
 
 
 @dataclass(frozen=True, slots=True)

@@ -47,6 +47,34 @@ class Agent:
         return text
 
 
+class BlockingAgent:
+    """Calls tools from a thread without an event loop.
+
+    Args:
+        client, portal: see `blocking_client`.
+        always: arguments of each call, such as the robot.
+    """
+
+    def __init__(self, client: Client, portal: BlockingPortal, **always: object) -> None:
+        self._client, self._portal, self._always = client, portal, always
+
+    def ask(self, tool: str, /, **arguments: object) -> Any:
+        """Call a tool; return its answer, also an error."""
+        return self._portal.call(self._client.call_tool, tool, {**self._always, **arguments})
+
+    def do(self, tool: str, /, **arguments: object) -> dict[str, Any]:
+        """Return the structured answer of a call. Raises RuntimeError if it fails."""
+        answer = self.ask(tool, **arguments)
+        if answer.is_error:
+            raise RuntimeError(f"{tool}: {answer.content[0].text}")
+        return dict(answer.structured_content or {})
+
+    def modules(self) -> dict[str, dict[str, Any]]:
+        """The modules of get_status, by kind."""
+        status = self.do("get_status", details=True)
+        return {module["module"]: module for module in status["modules"]}
+
+
 @asynccontextmanager
 async def client_of(
     config: Path,

@@ -5,7 +5,7 @@ options that define others.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Self
 
@@ -42,17 +42,7 @@ _LIBERO_ACTION = ActionLayout(
     gripper="signed_close",
     step_s=0.05,
 )
-_LIBERO_ACTION_RELATIVE = ActionLayout(
-    meaning="delta",
-    frame="base",
-    rotation="rotvec",
-    translation_scale_m=0.05,
-    rotation_scale_rad=0.5,
-    limit=1.0,
-    adds_state=True,
-    gripper="signed_close",
-    step_s=0.05,
-)
+_LIBERO_ACTION_RELATIVE = replace(_LIBERO_ACTION, adds_state=True)
 _BRIDGE = Profile(
     state=StateLayout(
         terms=("position", "rpy_by_down", "padding", "gripper_open"),

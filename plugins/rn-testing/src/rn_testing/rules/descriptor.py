@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
 from rn_testing import case_options
 from rn_testing.cases import Case
@@ -67,41 +67,32 @@ def _check_target(case: AnyCase) -> None:
         ) from error
 
 
-def _check_config(case: AnyCase) -> None:
-    models = [loading.load_options_model(spec) for spec in _described(case)]
-    if not any(models):
+def _options_models(case: AnyCase) -> list[type[BaseModel]]:
+    """Models of the options. Raises NotApplicable if there are none."""
+    found = [loading.load_options_model(spec) for spec in _described(case)]
+    models = [model for model in found if model is not None]
+    if not models:
         raise NotApplicable("there are no options")
-    for model in models:
-        if model is not None:
-            extra = model.model_config.get("extra")
-            require(
-                extra == "forbid",
-                f'{model.__name__} has extra={extra!r}, expected ConfigDict(extra="forbid")',
-            )
+    return models
+
+
+def _check_config(case: AnyCase) -> None:
+    for model in _options_models(case):
+        extra = model.model_config.get("extra")
+        require(
+            extra == "forbid",
+            f'{model.__name__} has extra={extra!r}, expected ConfigDict(extra="forbid")',
+        )
 
 
 def _check_option_descriptions(case: AnyCase) -> None:
-    models = [
-        model
-        for spec in _described(case)
-        if (model := loading.load_options_model(spec)) is not None
-    ]
-    if not models:
-        raise NotApplicable("there are no options")
-    for model in models:
+    for model in _options_models(case):
         bare = [name for name, option in model.model_fields.items() if not option.description]
         require(not bare, f"{model.__name__} has options without description: {', '.join(bare)}")
 
 
 def _check_defaults(case: AnyCase) -> None:
-    models = [
-        model
-        for spec in _described(case)
-        if (model := loading.load_options_model(spec)) is not None
-    ]
-    if not models:
-        raise NotApplicable("there are no options")
-    for model in models:
+    for model in _options_models(case):
         if any(option.is_required() for option in model.model_fields.values()):
             continue  # nothing to test without the user's own values
         defaults = {

@@ -41,6 +41,10 @@ separate processes.
 """
 KIT = "rn-testing"
 """Distribution of the contract kit."""
+HOUSE = "rn-standard"
+"""Distribution that is released with the core and may import all of it: what only it needs is not
+public.
+"""
 
 
 def lists_for(*, features: bool, commands: bool, is_kit: bool = False) -> frozenset[str]:
@@ -91,6 +95,8 @@ def is_public(name: str, lists: Collection[str]) -> bool:
 def _check_direction(case: PackageCase) -> None:
     specs = tuple(installed.specs_of(case))
     distribution = normalise(case.distribution)
+    if distribution == HOUSE:
+        return
     lists = lists_for(
         features=any(isinstance(spec, FeatureSpec) for spec in specs),
         commands=any(isinstance(spec, CommandSpec) for spec in specs),

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
-from tokenizers import Tokenizer
+from tokenizers import Tokenizer, models, normalizers, processors
 
 from rn_vla.checkpoint_files import MAX_TOKENIZER_BYTES, check_file, reading
 from roboneuron import CheckpointError
@@ -112,3 +112,25 @@ class PromptEncoder:
 def end_prompt(ids: I64) -> I64:
     """Append FINAL_ID unless the ids already end with it."""
     return ids if ids.size and ids[-1] == FINAL_ID else np.append(ids, FINAL_ID)
+
+
+def save_tokenizer(
+    path: Path, vocabulary: dict[str, int], merges: Sequence[tuple[str, str]]
+) -> None:
+    """Write a Llama-like byte-pair encoding of these ids and merges, which may repeat."""
+    tokenizer = Tokenizer(
+        models.BPE(
+            vocab=vocabulary,
+            merges=list(dict.fromkeys(merges)),
+            unk_token="<unk>",
+            fuse_unk=True,
+            byte_fallback=True,
+        )
+    )
+    tokenizer.normalizer = normalizers.Sequence(
+        [normalizers.Prepend("▁"), normalizers.Replace(" ", "▁")]
+    )
+    tokenizer.post_processor = processors.TemplateProcessing(
+        single="<s> $A", special_tokens=[("<s>", BOS_ID)]
+    )
+    tokenizer.save(str(path))

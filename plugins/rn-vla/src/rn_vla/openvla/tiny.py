@@ -14,7 +14,7 @@ import numpy as np
 
 from rn_vla.decoding import Weight
 from rn_vla.openvla.checkpoint import OpenvlaCheckpoint
-from rn_vla.openvla.prompt import BOS_ID, FINAL_ID
+from rn_vla.openvla.prompt import BOS_ID, FINAL_ID, save_tokenizer
 from roboneuron import ConfigurationError
 
 VOCABULARY = 32064
@@ -122,8 +122,6 @@ def write_tokenizer(path: Path) -> None:
     """Write a Llama-like tokenizer: 32000 ids, bytes for unknown characters, the same special
     ids.
     """
-    from tokenizers import Tokenizer, models, normalizers, processors
-
     vocabulary = {"<unk>": 0, "<s>": BOS_ID, "</s>": 2}
     vocabulary |= {f"<0x{byte:02X}>": 3 + byte for byte in range(256)}
     merges: list[tuple[str, str]] = []
@@ -142,22 +140,7 @@ def write_tokenizer(path: Path) -> None:
         if index != FINAL_ID
     }
     vocabulary["▁"] = FINAL_ID
-    tokenizer = Tokenizer(
-        models.BPE(
-            vocab=vocabulary,
-            merges=list(dict.fromkeys(merges)),
-            unk_token="<unk>",
-            fuse_unk=True,
-            byte_fallback=True,
-        )
-    )
-    tokenizer.normalizer = normalizers.Sequence(
-        [normalizers.Prepend("▁"), normalizers.Replace(" ", "▁")]
-    )
-    tokenizer.post_processor = processors.TemplateProcessing(
-        single="<s> $A", special_tokens=[("<s>", BOS_ID)]
-    )
-    tokenizer.save(str(path))
+    save_tokenizer(path, vocabulary, merges)
 
 
 def _write_weights(path: Path, seed: int) -> None:
