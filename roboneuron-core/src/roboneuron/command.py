@@ -12,17 +12,16 @@ __getattr__, __dir__, __all__ = attach(__name__, __file__)
 GROUPS: Mapping[str, frozenset[str]] = {
     name: frozenset(names.split())
     for name, names in {
-        "availability": "known_names missing present",
         "descriptor": "NAME_PATTERN check_spec",
-        "environment": "CLIENT_TOKEN module_environment prepare_environment state_directory",
+        "environment": "module_environment prepare_environment state_directory",
         "estop": "EmergencyStopLatch",
         "loading": "load_attribute load_options load_options_model load_target",
         "log_files": "begin_logging opener",
-        "messages": "intrinsics_from_camera_info joints_from_message to_image",
+        "messages": "intrinsics_from_camera_info joints_from_message",
         "qos": "requested_qos",
-        "reading": "default_text read_state_directory robot_folder",
+        "reading": "default_text robot_folder",
         "settings": "EMERGENCY_STOP_TOPIC HOLD_DURATION_S",
-        "terminal": "add_verbosity is_agreed log_level",
+        "terminal": "is_agreed",
         "topics": "ACTION DIAGNOSTICS JOINT_STATES",
     }.items()
 }

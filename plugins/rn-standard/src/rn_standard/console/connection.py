@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING
 
 from rn_standard.console.client import hush_unlisted_tools, leaves_of, spawned_server
 from roboneuron import ConfigurationError
-from roboneuron.command import environment, terminal
+from roboneuron.cli import terminal
+from roboneuron.ros import environment
 
 if TYPE_CHECKING:
     from mcp import Client

@@ -11,15 +11,9 @@ from collections.abc import Sequence
 
 from rn_standard.console.chosen_plugins import add_config, read_disabled
 from roboneuron import CONTRACT_VERSION, __version__, foreign, install_command
-from roboneuron.command import (
-    Offer,
-    PluginRecord,
-    Registry,
-    Status,
-    availability,
-    discover,
-    spoken,
-)
+from roboneuron.cli.main import spoken
+from roboneuron.command import Offer, PluginRecord, Registry, Status, discover
+from roboneuron.plugins import availability
 
 SCHEMA_VERSION = 1
 MOST_OF_REASON = 2000

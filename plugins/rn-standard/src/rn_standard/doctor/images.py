@@ -105,7 +105,8 @@ def send_images(topic: str) -> int:
     environment.prepare_environment()
     from sensor_msgs.msg import Image
 
-    from roboneuron.command import RosLink, messages
+    from roboneuron.command import RosLink
+    from roboneuron.ros import messages
 
     link = RosLink(f"roboneuron_doctor_sender_{os.getpid()}")
     link.open()

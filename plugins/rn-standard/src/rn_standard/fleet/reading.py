@@ -7,7 +7,8 @@ from collections import Counter
 from collections.abc import Mapping
 
 from roboneuron import ConfigurationError, FeatureSpec, RobotSpec
-from roboneuron.feature import Config, Registry, reading
+from roboneuron.config import reading
+from roboneuron.feature import Config, Registry
 
 
 def read_robots(raw: Mapping[str, object], source: str, registry: Registry) -> Config:

@@ -7,7 +7,8 @@ from typing import Annotated, Literal, Self
 from pydantic import Field
 
 from roboneuron import Section
-from roboneuron.feature import Config, models
+from roboneuron.config import models
+from roboneuron.feature import Config
 
 
 class TokenConfig(Section):

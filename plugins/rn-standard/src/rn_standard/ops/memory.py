@@ -11,7 +11,8 @@ from pathlib import Path
 from weakref import WeakSet
 
 from rn_standard.ops.options import MemoryOptions
-from roboneuron.feature import ModuleKind, Modules, Periodic
+from roboneuron.feature import ModuleKind, Periodic
+from roboneuron.supervisor.health import Modules
 
 log = logging.getLogger(__name__)
 _LOOK_S = 0.05
