@@ -11,7 +11,6 @@ import pytest
 
 from rn_backend_openpi.backend import OpenpiBackend
 from rn_backend_openpi.options import OpenpiOptions
-from rn_backend_openpi.plugin import BACKEND
 from roboneuron import (
     ArmState,
     ConfigurationError,
@@ -98,10 +97,6 @@ def test_a_served_policy_of_two_arms_gets_the_state_of_both(
     np.testing.assert_allclose(chunk.actions[0, [0, 6, 7, 13]], [0.1, 0.25, -0.1, 1.0])
     assert chunk.space.keys[13] == "right/gripper_open"
     backend.close()
-
-
-def test_the_descriptor_declares_the_space() -> None:
-    assert BACKEND.space == "rn_backend_openpi.space:openpi_space"
 
 
 def test_answers_of_another_width_or_not_finite_are_refused(

@@ -98,6 +98,8 @@ def test_key_and_certificate_from_end_to_end(files: dict[str, str]) -> None:
         given = {"url": url, "profile": "libero", "image_keys": KEYS}
         with pytest.raises(ConfigurationError, match="not trusted"):
             OpenpiBackend(OpenpiOptions(**given)).load()
+        with pytest.raises(ConfigurationError, match="holds no certificate"):
+            OpenpiBackend(OpenpiOptions(**given, ca_file=files["key"])).load()
         given["ca_file"] = files["certificate"]
         with pytest.raises(ConfigurationError, match="refused the key"):
             OpenpiBackend(OpenpiOptions(**given)).load()

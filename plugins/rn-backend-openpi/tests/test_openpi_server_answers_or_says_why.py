@@ -99,27 +99,6 @@ def test_a_fault_of_the_backend_is_logged_and_not_told(caplog: pytest.LogCapture
     assert "/secret/path" in caplog.text
 
 
-class Silent(Reflex):
-    """Answers the first observation with nothing."""
-
-    asked = 0
-
-    def predict(self, observation: Any) -> Any:
-        self.asked += 1
-        return None if self.asked == 1 else super().predict(observation)
-
-
-def test_a_model_that_answers_with_nothing_is_told_and_asked_again(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
-    with serving(OPTIONS, Silent(step_s=0.05)) as url:
-        with open_client(url) as connection:
-            assert ask(connection) == "PluginError: see the server's log."
-        with open_client(url) as connection:
-            assert ask(connection)["actions"].shape == (4, 7)
-    assert "returned NoneType for an observation, expected an ActionChunk" in caplog.text
-
-
 def test_a_chunk_of_another_period_than_the_profiles_is_refused(
     caplog: pytest.LogCaptureFixture,
 ) -> None:

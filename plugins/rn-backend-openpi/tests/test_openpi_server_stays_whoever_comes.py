@@ -32,24 +32,6 @@ from rn_backend_openpi.options import OpenpiOptions
 from rn_testing.waiting import is_closed
 from roboneuron import ActionChunk
 
-
-def test_more_clients_than_may_are_refused_and_a_place_that_is_left_is_free_again() -> None:
-    with served(robots=2) as url, ExitStack() as opened:
-        first = opened.enter_context(open_client(url))
-        opened.enter_context(open_client(url))
-        with pytest.raises(InvalidStatus) as caught:
-            open_client(url)
-        assert caught.value.response.status_code == 503
-        first.close()
-        deadline_s = time.monotonic() + SLACK_S
-        while True:
-            try:
-                opened.enter_context(open_client(url))
-                break
-            except InvalidStatus:
-                assert time.monotonic() < deadline_s
-
-
 NAN = STATE.copy()
 NAN[2] = np.nan
 DEEP: Any = 1

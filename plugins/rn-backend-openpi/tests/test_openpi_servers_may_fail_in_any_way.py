@@ -11,11 +11,13 @@ import subprocess
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from middle_man import MiddleMan
 from openpi_clients import TIMEOUT_S
 
 from rn_backend_openpi.backend import OpenpiBackend
@@ -41,6 +43,25 @@ def backend(options: Callable[..., OpenpiOptions]) -> Iterator[OpenpiBackend]:
     made.load()
     yield made
     made.close()
+
+
+@contextmanager
+def _freezing(url: str) -> Iterator[tuple[str, Callable[[], None]]]:
+    """Address of a relay before a server, and a function after which it reads nothing."""
+    frozen, ended = threading.Event(), threading.Event()
+
+    def received(source: socket.socket) -> bytes:
+        data = source.recv(4096)
+        if frozen.is_set():
+            ended.wait(30.0)
+        if not data:
+            raise ConnectionError("closed")
+        return data
+
+    scheme, port = url.split(":")[0], int(url.rsplit(":", 1)[1])
+    with closing(MiddleMan(port, received, kept=1)) as man:
+        yield f"{scheme}://{man.address}", frozen.set
+        ended.set()
 
 
 def _recovers(backend: OpenpiBackend, observation: Observation) -> None:
@@ -164,12 +185,11 @@ def test_a_slow_answer_is_given_up_and_never_taken_for_the_next_one(
 def test_a_half_open_connection_ends_in_time(
     options: Callable[..., OpenpiOptions], observe: Observe
 ) -> None:
-    # A peer that answers the handshake and the warm-up, then neither reads nor writes, through a
-    # tiny relay.
-    with _Relay(options().url) as relay:
-        backend = OpenpiBackend(options(url=relay.url, image_size_px=(1024, 1024)))
+    # A peer that answers the handshake and the warm-up, then neither reads nor writes.
+    with _freezing(options().url) as (url, freeze):
+        backend = OpenpiBackend(options(url=url, image_size_px=(1024, 1024)))
         backend.load()
-        relay.freeze()
+        freeze()
         start = time.monotonic()
         with pytest.raises(NotReadyError, match="no answer within"):
             backend.predict(observe())
@@ -210,12 +230,10 @@ def test_tls_is_verified_and_a_half_open_tls_connection_ends_in_time(
     patient.load()
     assert patient.predict(observe()).note == ""
     patient.close()
-    with _Relay(policy_server.url) as relay:
-        backend = OpenpiBackend(
-            options(url=relay.url.replace("ws:", "wss:"), image_size_px=(1024, 1024))
-        )
+    with _freezing(policy_server.url) as (url, freeze):
+        backend = OpenpiBackend(options(url=url, image_size_px=(1024, 1024)))
         backend.load()
-        relay.freeze()
+        freeze()
         start = time.monotonic()
         with pytest.raises(NotReadyError, match="no answer within"):
             backend.predict(observe())
@@ -334,62 +352,3 @@ def test_predict_is_refused_before_load_and_after_close(
     for made in (backend, OpenpiBackend(OpenpiOptions(profile="libero"))):
         with pytest.raises(StateError):
             made.predict(observe())
-
-
-class _Relay:
-    """Forwards bytes between a client and the stand-in until it is frozen; then it forwards
-    nothing.
-    """
-
-    def __init__(self, url: str) -> None:
-        self._target = ("127.0.0.1", int(url.rsplit(":", 1)[1]))
-        self._listener = socket.create_server(("127.0.0.1", 0))
-        self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-        self.url = f"ws://127.0.0.1:{self._listener.getsockname()[1]}"
-        self._frozen, self._ended = threading.Event(), threading.Event()
-        self._threads: list[threading.Thread] = []
-
-    def __enter__(self) -> _Relay:
-        self._spawn(self._accept)
-        return self
-
-    def __exit__(self, *exc_info: object) -> None:
-        self._ended.set()
-        for thread in self._threads:
-            thread.join(5.0)
-        self._listener.close()
-
-    def freeze(self) -> None:
-        """Read nothing from now on."""
-        self._frozen.set()
-
-    def _spawn(self, target: Callable[..., None], *args: object) -> None:
-        thread = threading.Thread(target=target, args=args, daemon=True)
-        self._threads.append(thread)
-        thread.start()
-
-    def _accept(self) -> None:
-        self._listener.settimeout(5.0)
-        client, _ = self._listener.accept()
-        server = socket.create_connection(self._target)
-        self._spawn(self._pump, client, server)
-        self._spawn(self._pump, server, client)
-        self._ended.wait(30.0)
-        client.close()
-        server.close()
-
-    def _pump(self, source: socket.socket, sink: socket.socket) -> None:
-        source.settimeout(0.05)
-        while not self._ended.is_set():
-            if self._frozen.is_set():
-                self._ended.wait(30.0)
-                return
-            try:
-                data = source.recv(65536)
-            except TimeoutError:
-                continue
-            except OSError:
-                return
-            if not data:
-                return
-            sink.sendall(data)

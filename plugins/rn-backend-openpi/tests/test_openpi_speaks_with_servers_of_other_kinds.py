@@ -7,10 +7,6 @@ WebSocket API". Two are written byte by byte, so that the packer is not only tes
 
 from __future__ import annotations
 
-import shutil
-import socket
-import ssl
-import subprocess
 import threading
 import time
 from collections.abc import Callable
@@ -328,33 +324,3 @@ def test_the_key_comes_from_a_file_that_only_its_owner_reads(
         with pytest.raises(ConfigurationError) as caught:
             _backend(policy_server, api_key_file=key)
         assert text not in str(caught.value)
-
-
-@pytest.mark.skipif(shutil.which("openssl") is None, reason="makes a certificate with openssl")
-def test_an_authority_of_ones_own_is_trusted_when_it_is_named(
-    policy_server: Any, tmp_path: Path
-) -> None:
-    key, certificate = tmp_path / "key.pem", tmp_path / "certificate.pem"
-    command = (
-        "openssl req -x509 -newkey ec -pkeyopt ec_paramgen_curve:prime256v1 -nodes -days 2 "
-        f"-subj /CN=localhost -addext subjectAltName=IP:127.0.0.1 -keyout {key} -out {certificate}"
-    )
-    subprocess.run(command.split(), check=True, capture_output=True, timeout=30)
-    policy_server.stop()
-    policy_server.tls = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
-    policy_server.tls.load_cert_chain(certificate, key)
-    policy_server.start()
-    policy_server.answer = _rows()
-    with pytest.raises(ConfigurationError, match="not trusted"):
-        _backend(policy_server)
-    with pytest.raises(ConfigurationError, match="holds no certificate"):
-        _backend(policy_server, ca_file=key)
-    _backend(policy_server, ca_file=certificate).close()
-
-
-def test_a_server_that_only_listens_is_reported_in_time() -> None:
-    with socket.create_server(("127.0.0.1", 0)) as silent:
-        url = f"ws://127.0.0.1:{silent.getsockname()[1]}"
-        backend = OpenpiBackend(OpenpiOptions(url=url, connect_timeout_s=0.3, profile="libero"))
-        with pytest.raises(NotReadyError, match=r"did not answer within 0\.3 s"):
-            backend.load()

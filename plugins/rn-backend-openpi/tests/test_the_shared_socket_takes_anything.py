@@ -10,11 +10,10 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 
 import pytest
-from policy_servers import PASSING, SEEN, Robot, answers, fail_accepts
+from policy_servers import SEEN, Robot, answers
 from websockets.frames import Frame, Opcode
 from websockets.sync.client import unix_connect
 
-from rn_backend_openpi import listener as listener_module
 from rn_backend_openpi.messages import RESERVED, from_observation
 from rn_backend_openpi.wire import pack, unpack
 
@@ -75,30 +74,6 @@ def test_a_client_that_knows_only_openpis_entries_is_answered_alike(
             assert answer["server_timing"]["infer_ms"] > 0.0
 
 
-def test_connections_that_say_nothing_keep_no_robot_out(served: Robot, tmp_path: Path) -> None:
-    one = served()
-    path = socket_in(tmp_path)
-    with ExitStack() as stack:
-        crowd = [stack.enter_context(socket.socket(socket.AF_UNIX)) for _ in range(200)]
-        for silent in crowd:
-            silent.connect(path)
-        assert served().predict(SEEN).metrics["shared.batch"] == 1.0
-        assert one.predict(SEEN).actions.size
-        crowd[0].settimeout(20)
-        assert crowd[0].recv(1) == b""  # the oldest one was closed
-
-
-def test_a_connection_without_a_handshake_ends(
-    served: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(listener_module, "HANDSHAKE_S", 0.05)
-    served()
-    with socket.socket(socket.AF_UNIX) as silent:
-        silent.settimeout(20)
-        silent.connect(socket_in(tmp_path))
-        assert silent.recv(1) == b""
-
-
 def test_a_server_without_handles_serves_again_when_it_has_some(
     served: Robot, tmp_path: Path
 ) -> None:
@@ -117,13 +92,3 @@ def test_a_server_without_handles_serves_again_when_it_has_some(
         finally:
             resource.setrlimit(resource.RLIMIT_NOFILE, before)
     assert served().predict(SEEN).actions.size
-
-
-@pytest.mark.exhaustive
-def test_robots_come_in_after_connections_that_were_lost(
-    served: Robot, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    served()
-    fail_accepts(monkeypatch, *PASSING)
-    for _ in range(2):
-        assert answers(served())
