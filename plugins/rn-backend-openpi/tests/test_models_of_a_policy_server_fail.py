@@ -70,6 +70,8 @@ def test_a_model_that_hangs_costs_no_more_than_the_deadline(serve: Serve, robot:
     wait_until(lambda: answers(one), 60.0, "it answers")
     pid = server.status()["models"]["only"]["pid"]
     os.kill(pid, signal.SIGSTOP)
+    stat = Path(f"/proc/{pid}/stat")
+    wait_until(lambda: stat.read_text().rpartition(")")[2].split()[0] == "T", 20.0, "it stands")
     try:
         begun_s = time.monotonic()
         for _ in range(5):

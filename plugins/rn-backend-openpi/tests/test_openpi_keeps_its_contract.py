@@ -61,7 +61,7 @@ def test_the_readme_names_every_option_and_profile_and_its_examples_are_valid() 
     served = [PolicyServerOptions(**file) for file in files if "models" in file]
     offered = [model.interface for file in served for model in file.models.values()]
     interfaces = [*read, *filter(None, offered)]
-    assert (len(served), len(interfaces)) == (2, 4)
+    assert (len(served), len(interfaces)) == (3, 4)
     for options in interfaces:
         layout_of(options)
 

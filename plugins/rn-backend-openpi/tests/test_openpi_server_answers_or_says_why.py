@@ -64,7 +64,7 @@ class Stuck(Reflex):
 
 
 def test_a_model_that_hangs_is_told_in_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rn_backend_openpi.model_server.ANSWER_S", 0.3)
+    monkeypatch.setattr("rn_backend_openpi.model_conversation.ANSWER_S", 0.3)
     stuck = Stuck()
     with serving(OPTIONS, stuck) as url:
         with open_client(url) as connection:

@@ -161,6 +161,7 @@ def _reading_nothing(url: str) -> Iterator[None]:
         plain.connect(("127.0.0.1", int(url.rsplit(":", 1)[1])))
         quiet = {"compression": None, "max_size": None, "proxy": None, "close_timeout": 0.1}
         slow = connect(url, sock=plain, max_queue=1, **quiet)
+        slow.recv(timeout=SLACK_S)
         with suppress(ConnectionClosed, OSError):
             for _ in range(4):
                 slow.send(PLAIN)
@@ -171,8 +172,7 @@ def _reading_nothing(url: str) -> Iterator[None]:
 
 def test_a_client_that_does_not_read_holds_nobody_up(monkeypatch: pytest.MonkeyPatch) -> None:
     # waiting for it would take a minute, `ask` waits for a part of that
-    monkeypatch.setattr("rn_backend_openpi.conversations.SEND_S", 60.0)
-    monkeypatch.setattr("rn_backend_openpi.front.SEND_S", 60.0)
+    monkeypatch.setattr("rn_backend_openpi.listener.SEND_S", 60.0)
     with (
         serving(OpenpiOptions(profile="roboneuron"), Wide()) as url,
         _reading_nothing(url),

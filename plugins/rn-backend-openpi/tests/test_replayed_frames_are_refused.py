@@ -205,14 +205,19 @@ def test_a_conversation_that_is_sent_again_is_computed_no_second_time(
     for number in range(3):
         ask(one, number)
     before, begun = computed(plain), len(logged(plain))
-    with closing(socket.create_connection(("127.0.0.1", plain.port), 20.0)) as again:
-        with suppress(OSError):
-            for frame in man.recordings[0].asked:
-                again.sendall(frame)
-        with suppress(OSError):
-            while again.recv(4096):
-                pass
-    assert computed(plain) == before
+    handshake, *frames = man.recordings[0].asked
+    for waits in (True, False):  # for the first message
+        with closing(socket.create_connection(("127.0.0.1", plain.port), 20.0)) as again:
+            again.sendall(handshake)
+            if waits:
+                assert plain_frame(again).startswith(b"HT")
+                assert kind_of(plain_frame(again)) == "welcome"
+            with suppress(OSError):
+                for frame in frames:
+                    again.sendall(frame)
+                while again.recv(4096):
+                    pass
+        assert computed(plain) == before
     assert "was replayed" in logged(plain)[begun:]
     assert answers(one)
 

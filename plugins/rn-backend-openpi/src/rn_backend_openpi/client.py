@@ -19,7 +19,7 @@ from websockets.exceptions import InvalidURI
 
 from rn_backend_openpi.connection import HandshakeRefused, PolicyConnection
 from rn_backend_openpi.messages import RESERVED
-from rn_backend_openpi.security import authorization, tune
+from rn_backend_openpi.security import authorization, trusting, tune
 from rn_backend_openpi.session import READY
 from rn_backend_openpi.wire import Value, pack, unpack
 from roboneuron import ConfigurationError, ForeignDataError, NotReadyError
@@ -57,7 +57,9 @@ class PolicyClient:
         self._url = url
         self._headers = {"Authorization": authorization(api_key)} if api_key else {}
         parts = urlsplit(url)
-        self._tls = _tls(ca_file) if parts.scheme == "wss" else None
+        self._tls = (
+            trusting(ssl.create_default_context(), ca_file) if parts.scheme == "wss" else None
+        )
         self._address = (parts.hostname or "", parts.port or (443 if parts.scheme == "wss" else 80))
         self._connection: PolicyConnection | None = None
         self._closed = threading.Event()
@@ -235,21 +237,6 @@ class PolicyClient:
         connection, self._connection = self._connection, None
         if connection is not None:
             connection.close()
-
-
-def _tls(ca_file: Path | None) -> ssl.SSLContext:
-    """TLS context with the trusted authorities. Raises ConfigurationError if the file holds no
-    certificate.
-    """
-    context = ssl.create_default_context()
-    if ca_file is not None:
-        try:
-            context.load_verify_locations(ca_file)
-        except (OSError, ssl.SSLError) as error:
-            raise ConfigurationError(
-                f"ca_file = {str(ca_file)!r} holds no certificate: {error}."
-            ) from error
-    return context
 
 
 def _reason(error: Exception) -> str:

@@ -28,10 +28,6 @@ from roboneuron import (
 
 _GRACE_S = 0.5
 """Time after its deadline at which an answer counts as late."""
-SEND_S = 0.5
-"""Time after which a client that does not read is disconnected; that of a front in between is
-longer, and its own.
-"""
 IDLE_S = 600.0
 """Time without a request after which a client of openpi's kind is disconnected."""
 _MOST_OPEN = 4
@@ -96,7 +92,7 @@ async def converse(connection: ServerConnection, conversation: Conversation) -> 
     previous: dict[str, float] = {}
     is_robot = False
     try:
-        await send(connection, pack(conversation.first()), SEND_S)
+        await send(connection, pack(conversation.first()))
         while True:
             data = await _received(connection, None if is_robot else IDLE_S)
             if data is None:
@@ -104,7 +100,7 @@ async def converse(connection: ServerConnection, conversation: Conversation) -> 
                 return
             request = await conversation.read(data)
             if not isinstance(request, PolicyRequest):
-                await send(connection, pack(request), SEND_S)
+                await send(connection, pack(request))
                 continue
             answering = _answer(connection, conversation, request, previous)
             is_robot = request.number is not None
@@ -148,7 +144,7 @@ async def _answer(
     began_s = time.monotonic()
     reply = await answered(conversation, request)
     reply["server_timing"] |= previous
-    await send(connection, pack(reply), SEND_S)
+    await send(connection, pack(reply))
     previous["prev_total_ms"] = (time.monotonic() - began_s) * 1e3
 
 
@@ -202,5 +198,5 @@ def told_of(error: RoboNeuronError) -> str:
 
 async def _fail(connection: ServerConnection, text: str) -> None:
     with suppress(ConnectionClosed):
-        await send(connection, text, SEND_S)
+        await send(connection, text)
         await connection.close(CloseCode.INTERNAL_ERROR, "see the text frame before")

@@ -12,15 +12,20 @@ from contextlib import suppress
 from http import HTTPStatus
 from typing import Any, ClassVar
 
+from websockets.asyncio.client import ClientConnection
+from websockets.asyncio.connection import Connection
 from websockets.asyncio.server import Server, ServerConnection, serve, unix_serve
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
+from websockets.protocol import State
 
 from rn_backend_openpi.security import tune
 from rn_backend_openpi.wire import MOST_BYTES
 
 HANDSHAKE_S = 5.0
 """Longest opening handshake, TLS included."""
+SEND_S = 2.0
+"""Time after which a client that does not read is disconnected."""
 _STRANGERS = 64
 """Connections beyond the clients that may be in their handshake at the same time."""
 _CLOSE_S = 1.0
@@ -130,16 +135,66 @@ class Listener:
         return None
 
 
-class CountedConnection(ServerConnection):
+class Piped(Connection):
+    """A connection that hands on what it receives to another one, unparsed, while `other` is set:
+    frames of a client are valid at a server behind, and its frames at the client.
+
+    Attributes:
+        other: takes what this one receives; None for messages as usual.
+        passed: called for each part that is handed on.
+    """
+
+    other: Connection | None = None
+    passed: Callable[[], object]
+
+    def data_received(self, data: bytes) -> None:
+        if self.other is None:
+            super().data_received(data)
+            return
+        self.passed()
+        self.other.transport.write(data)
+
+    def pause_writing(self) -> None:
+        super().pause_writing()
+        if self.other is not None:
+            self.other.transport.pause_reading()
+
+    def resume_writing(self) -> None:
+        super().resume_writing()
+        if self.other is not None:
+            self.other.transport.resume_reading()
+
+
+class PipedClient(Piped, ClientConnection):
+    """The end of a server that is the client of another one."""
+
+
+class CountedConnection(Piped, ServerConnection):
     """A connection that is counted from the start of its handshake.
 
     Attributes:
         owner: the listener; each has a subclass of its own.
         is_page: it asks for a page.
+        is_early: it sent something before it was handed on.
     """
 
     owner: ClassVar[Listener]
-    is_page = False
+    is_page = is_early = False
+    _slow: asyncio.TimerHandle | None = None
+
+    def data_received(self, data: bytes) -> None:
+        self.is_early |= self.other is None and self.state is State.OPEN
+        super().data_received(data)
+
+    def pause_writing(self) -> None:
+        super().pause_writing()
+        if self.other is not None:
+            self._slow = self.loop.call_later(SEND_S, drop_slow, self)
+
+    def resume_writing(self) -> None:
+        super().resume_writing()
+        if self._slow is not None:
+            self._slow.cancel()
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self.owner.entered(self)
@@ -153,17 +208,22 @@ class CountedConnection(ServerConnection):
         super().connection_lost(exc)
 
 
-async def send(connection: ServerConnection, data: bytes | str, timeout_s: float) -> None:
+def drop_slow(connection: ServerConnection) -> None:
+    """Disconnect a client that does not read."""
+    log.warning("%s does not read; it is dropped.", connection.remote_address)
+    connection.transport.abort()
+
+
+async def send(connection: ServerConnection, data: bytes | str) -> None:
     """Send one message; a client that does not read is disconnected, so it blocks nobody.
 
     Raises:
         ConnectionClosed: the client is disconnected.
     """
     try:
-        async with asyncio.timeout(timeout_s):
+        async with asyncio.timeout(SEND_S):
             await connection.send(data)
     except TimeoutError:
-        log.warning("%s does not read; it is dropped.", connection.remote_address)
-        connection.transport.abort()
+        drop_slow(connection)
         await connection.wait_closed()
         raise ConnectionClosed(None, None) from None

@@ -192,10 +192,7 @@ def _to_ahead(value: object, held: Held) -> Ahead:
     if len(rows) > MOST_ROWS:
         raise InvalidInputError(f"{len(rows)} rows ahead are more than {MOST_ROWS}.")
     named = field(value, "context")
-    context = None
-    if named is not None:
-        session, count = items(named, "a context", most=2, least=2)
-        context = held(HeldContext(integer(session, "a context"), integer(count, "a context")))
+    context = None if named is None else held(_to_context(named))
     return Ahead(
         rows=rows,
         committed_rows=integer(field(value, "committed_rows"), "committed_rows"),

@@ -4,31 +4,28 @@ hangs.
 
 from __future__ import annotations
 
-import asyncio
 import logging
 import os
 import subprocess
 import sys
 import threading
 import time
-from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 
-from websockets.asyncio.client import ClientConnection, unix_connect
 from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import InvalidHandshake
 from websockets.frames import CloseCode
-from websockets.protocol import State
 
 from rn_backend_openpi.fields import field, text
-from rn_backend_openpi.listener import send
+from rn_backend_openpi.listener import CountedConnection, send
 from rn_backend_openpi.messages import RESERVED, Document, from_answer, raise_told
+from rn_backend_openpi.relay import carry, reach
 from rn_backend_openpi.server_process import STAY
 from rn_backend_openpi.session import FAILED, LOADING, PROTOCOL, READY
 from rn_backend_openpi.shared_options import ServedModelOptions
 from rn_backend_openpi.status_page import page
-from rn_backend_openpi.wire import MOST_BYTES, pack
+from rn_backend_openpi.wire import pack
 from roboneuron import (
     ConfigurationError,
     ForeignDataError,
@@ -40,8 +37,6 @@ log = logging.getLogger(__name__)
 DEAD = "dead"
 """State without a process, in a pause before its next start."""
 _GREET_S = 1.0
-SEND_S = 2.0
-_REACH_S = 1.0
 _LOOK_S, _READY_LOOK_S = 0.1, 1.0
 _HANGS_S = 15.0
 """Time without a welcome message after which a process is killed."""
@@ -109,62 +104,18 @@ class ModelProcess:
         return told if self._failure is None else {**told, "state": FAILED, **self._failure}
 
     async def relay(self, robot: ServerConnection, note: Callable[[float], None]) -> int:
-        """Forward the messages of a robot and of the process until one of them disconnects; see
+        """Hand on the bytes of a robot and of the process until one of them disconnects; see
         `RelayedModel`.
         """
         try:
-            there = await self._reached()
+            there = await reach(self.path)
         except (OSError, InvalidHandshake):
-            await send(robot, pack({RESERVED: self.welcome()}), SEND_S)
+            await send(robot, pack({RESERVED: self.welcome()}))
             await robot.close(CloseCode.TRY_AGAIN_LATER, "the model is not ready")
             return 0
         async with there:
-            return await self._carry(robot, there, note)
-
-    async def _carry(
-        self, robot: ServerConnection, there: ClientConnection, note: Callable[[float], None]
-    ) -> int:
-        asked_s: deque[float] = deque()
-
-        async def ask() -> None:
-            async for message in robot:
-                asked_s.append(time.monotonic())
-                await there.send(message)
-
-        async def answer() -> None:
-            is_first = True
-            async for message in there:
-                await send(robot, message, SEND_S)
-                if not is_first and asked_s:
-                    note(time.monotonic() - asked_s.popleft())
-                is_first = False
-
-        asking, answering = asyncio.create_task(ask()), asyncio.create_task(answer())
-        await asyncio.wait({asking, answering}, return_when=asyncio.FIRST_COMPLETED)
-        has_died = there.state is State.CLOSED
-        for task in (asking, answering):
-            task.cancel()
-        await asyncio.gather(asking, answering, return_exceptions=True)
-        if not has_died:
-            return 0
-        code, reason = there.close_code, there.close_reason
-        if code is None or code == CloseCode.ABNORMAL_CLOSURE:
-            code = CloseCode.SERVICE_RESTART
-            reason = f"The model {self.name!r} has died; the server restarts it."
-        await robot.close(code, reason or "")
-        return len(asked_s)
-
-    async def _reached(self) -> ClientConnection:
-        """A connection to the process. Raises OSError or InvalidHandshake."""
-        return await unix_connect(
-            str(self.path),
-            "ws://localhost/",
-            compression=None,
-            max_size=MOST_BYTES,
-            ping_interval=None,
-            open_timeout=_REACH_S,
-            close_timeout=_REACH_S,
-        )
+            assert isinstance(robot, CountedConnection)
+            return await carry(robot, there, self.name, note)
 
     def status(self) -> Document:
         """Statistics, including those of its process if it answers."""

@@ -37,7 +37,6 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 _ROUTER = "ray.serve.experimental.consistent_hash_router.ConsistentHashRouter"
 """Sends the requests of one session to one replica, as long as it lives."""
-_SEND_S = 2.0
 _LONGEST_S = 60.0
 """Time for an answer to a client that states no deadline."""
 _ATTEMPTS = 2
@@ -153,7 +152,7 @@ class RayModel:
         handle = self._handle
         if handle is None:
             told: Document = {"protocol": PROTOCOL, "state": self.state, "pid": 0}
-            await send(robot, pack({RESERVED: {**told, **(self._failure or {})}}), _SEND_S)
+            await send(robot, pack({RESERVED: {**told, **(self._failure or {})}}))
             await robot.close(CloseCode.TRY_AGAIN_LATER, "the model is not ready")
             return 0
         line = _RobotLine(robot, handle, note, self._remembers)
@@ -235,7 +234,7 @@ class _RobotLine:
 
     async def run(self) -> None:
         """Send the welcome, and answer requests until the robot disconnects."""
-        await send(self._robot, await self._handle.first.remote(self._number), _SEND_S)
+        await send(self._robot, await self._handle.first.remote(self._number))
         open_tasks: set[asyncio.Task[None]] = set()
         try:
             async for data in self._robot:
@@ -261,7 +260,7 @@ class _RobotLine:
             self.lost += 1
             return
         self._note(time.monotonic() - begun_s)
-        await send(self._robot, told, _SEND_S)
+        await send(self._robot, told)
         if isinstance(told, str):
             await self._robot.close(CloseCode.INTERNAL_ERROR, "see the text frame before")
 

@@ -151,11 +151,7 @@ def place_of(options: SharedOptions) -> ServerAddress:
     if options.ca is not None:
         context = _context(ssl.PROTOCOL_TLS_CLIENT)
         context.check_hostname = False  # the authority in the file issues only for this server
-        try:
-            context.load_verify_locations(options.ca)
-        except OSError as error:
-            raise ConfigurationError(f"{options.ca} holds no certificate: {error}.") from error
-        return ServerAddress(host, int(port), context, token)
+        return ServerAddress(host, int(port), trusting(context, options.ca), token)
     if not is_loopback(host):
         raise ConfigurationError(
             f"A token is not sent unencrypted to {host}.",
@@ -223,6 +219,18 @@ def _link() -> tuple[Path, Machine]:
 def _context(protocol: int) -> ssl.SSLContext:
     context = ssl.SSLContext(protocol)
     context.minimum_version = ssl.TLSVersion.TLSv1_3
+    return context
+
+
+def trusting(context: ssl.SSLContext, ca: Path | None) -> ssl.SSLContext:
+    """The context, which also trusts the authorities of a PEM file. Raises ConfigurationError if it
+    holds no certificate.
+    """
+    if ca is not None:
+        try:
+            context.load_verify_locations(ca)
+        except OSError as error:
+            raise ConfigurationError(f"{ca} holds no certificate: {error}.") from error
     return context
 
 

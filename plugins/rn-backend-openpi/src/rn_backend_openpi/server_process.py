@@ -18,12 +18,23 @@ log = logging.getLogger(__name__)
 STAY = "--stay"
 
 
-def serve(options: SharedOptions, path: Path, idle_s: float | None) -> int:
-    """Run a server in this process until SIGTERM or SIGINT."""
+def serve(
+    options: SharedOptions, path: Path, idle_s: float | None, parent: IO[str] | None = None
+) -> int:
+    """Run a server in this process until SIGTERM or SIGINT, or the end of a parent's pipe."""
     server = SharedModelServer(options, path, idle_s)
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: server.stop())
-    return server.run(_watch())
+    if parent is not None:
+
+        def watch() -> None:
+            parent.read()  # the other end closes with the parent process
+            server.stop()
+
+        threading.Thread(target=watch, name="parent", daemon=True).start()
+    hangs = HangWatch()
+    hangs.start()
+    return server.run(hangs)
 
 
 def main(source: IO[str] = sys.stdin, arguments: list[str] = sys.argv[1:]) -> int:
@@ -34,56 +45,25 @@ def main(source: IO[str] = sys.stdin, arguments: list[str] = sys.argv[1:]) -> in
     process itself serves, until stdin ends.
     """
     options, path = SharedOptions.model_validate_json(source.readline()), Path(arguments[-1])
-    if arguments[0] == STAY:
-        return _stay(options, path, source)
-    if os.fork():
-        return 0
-    os.setsid()
-    with open(os.devnull) as nothing, path.with_suffix(".log").open("a") as output:
-        os.dup2(nothing.fileno(), 0)
-        for number in (1, 2):
-            os.dup2(output.fileno(), number)
-    _log()
-    code = 1
+    stays = arguments[0] == STAY
+    if not stays:
+        if os.fork():
+            return 0
+        os.setsid()
+        with open(os.devnull) as nothing, path.with_suffix(".log").open("a") as output:
+            os.dup2(nothing.fileno(), 0)
+            for number in (1, 2):
+                os.dup2(output.fileno(), number)
+    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s")
+    idle_s, parent, code = (None, source, 1) if stays else (options.idle_s, None, 1)
     try:
-        code = serve(options, path, options.idle_s)
+        code = serve(options, path, idle_s, parent)
     except Exception:  # the process would end silently
         log.exception("The server cannot continue.")
     finally:
         logging.shutdown()
         # threads of robots may still be running, but hold nothing to be saved
         os._exit(code)
-
-
-def _stay(options: SharedOptions, path: Path, source: IO[str]) -> int:
-    _log()
-    server = SharedModelServer(options, path, None)
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: server.stop())
-
-    def watch() -> None:
-        source.read()  # the other end closes with the parent process
-        server.stop()
-
-    threading.Thread(target=watch, name="parent", daemon=True).start()
-    code = 1
-    try:
-        code = server.run(_watch())
-    except Exception:  # the process would end silently
-        log.exception("The server cannot continue.")
-    finally:
-        logging.shutdown()
-        os._exit(code)
-
-
-def _watch() -> HangWatch:
-    watch = HangWatch()
-    watch.start()
-    return watch
-
-
-def _log() -> None:
-    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s")
 
 
 if __name__ == "__main__":
