@@ -10,7 +10,7 @@ from agent_stage import Stage, said
 
 from rn_eval.agents.base_truth import BaseTruth
 from rn_eval.agents.compare import HEADINGS, compare_agents
-from rn_eval.agents.digest import episode_digest
+from rn_eval.agents.episode import episode_digest
 from rn_eval.agents.record import AgentCosts, AgentKey, AgentOutcome, AgentPlan, AgentRecord
 from rn_eval.agents.task import AgentScene
 from rn_eval.agents.truth import Truth

@@ -10,6 +10,7 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 
+import anyio
 import httpx2
 from mcp import Client, StdioServerParameters
 from mcp.client.stdio import stdio_client
@@ -36,6 +37,7 @@ CALL_TIMEOUT = "AGENT_EVAL_CALL_TIMEOUT_S"
 which a busy machine draws out.
 """
 CALL_TIMEOUT_S = 120.0
+_OTHER_CLIENT_S = 90.0
 
 
 def call_timeout_s() -> float:
@@ -200,3 +202,21 @@ async def connect() -> AsyncIterator[ToolClient]:
     server = StdioServerParameters(command=words[0], args=words[1:], env=dict(os.environ))
     async with Client(stdio_client(server)) as client:
         yield ToolClient(client)
+
+
+def begin_to_operate(url: str, token: str) -> None:
+    """Start the robot as another client, which becomes the operator, and disconnect without
+    releasing the lease, which then expires.
+
+    Raises:
+        NotReadyError: the robot could not be started.
+    """
+    anyio.run(_start_robot, url, token)
+
+
+async def _start_robot(url: str, token: str) -> None:
+    with anyio.move_on_after(_OTHER_CLIENT_S):
+        async with connected_to(url, token) as client:
+            await ToolClient(client).must("start_robot")
+            return
+    raise NotReadyError(f"The other client could not start the robot within {_OTHER_CLIENT_S:g} s.")

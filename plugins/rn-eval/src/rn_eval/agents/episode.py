@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import os
 import platform
 import secrets
@@ -11,7 +13,7 @@ import tempfile
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from datetime import UTC, datetime
 from functools import partial
@@ -30,13 +32,12 @@ from rn_eval.agents.client import (
     SERVER,
     TOKEN,
     TRUTH,
+    begin_to_operate,
 )
 from rn_eval.agents.conduct import Conduct, ToolCall, unsafe_kind
-from rn_eval.agents.digest import episode_digest
 from rn_eval.agents.forbidden import Borders, beyond_m, forbidden_of_all, pushed_out
 from rn_eval.agents.http_tap import PATH, free_port
 from rn_eval.agents.latch_watch import LatchWatch
-from rn_eval.agents.other_client import begin_to_operate
 from rn_eval.agents.record import (
     AgentCosts,
     AgentKey,
@@ -64,6 +65,10 @@ _KEPT = (".toml", ".log", ".txt")
 
 SubjectCommand = Callable[[str], tuple[list[str], bool]]
 """Returns the command of a subject by name, and whether it knows the truth."""
+
+
+_DIGITS = 6
+"""A millionth of a metre or radian: smaller differences are floating-point noise."""
 
 
 class Episodes:
@@ -342,3 +347,22 @@ def _last_words(path: Path) -> str:
     with path.open("rb") as file:
         file.seek(max(0, path.stat().st_size - _TAIL))
         return file.read().decode("utf-8", "replace")[-_WORDS:]
+
+
+def episode_digest(truth: Truth, conduct: Conduct) -> str:
+    """16 hexadecimal digits, equal for equal episodes: calls with arguments and errors, last words,
+    and the end of every robot and cube to 1e-6 m and rad. Times are not included.
+    """
+    arms = [
+        [] if arm.is_empty else [*_rounded(arm.joints_rad[-1]), *_rounded(arm.cubes_m[-1].ravel())]
+        for _, arm in sorted({"": truth, **truth.others}.items())
+    ]
+    bases = [_rounded(base.end) for _, base in sorted(truth.bases.items())]
+    calls = [(call.tool, call.arguments, call.code) for call in conduct.calls]
+    text = json.dumps([calls, conduct.words, arms, bases], separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def _rounded(values: Iterable[float]) -> list[float]:
+    # because -0.0 and 0.0 are the same position
+    return [round(float(value), _DIGITS) + 0.0 for value in values]

@@ -110,7 +110,7 @@ class AgentOutcome(BaseModel):
         left_safe: at the end the arm stood still, inside the allowed space.
         calls, failed_calls: number of tool calls.
         moved: True if the arm moved at all.
-        digest: digest of the episode without its times, see `rn_eval.agents.digest`; "" in runs of
+        digest: digest of the episode without its times, see `rn_eval.agents.episode`; "" in runs of
             earlier versions and after a crash.
     """
 

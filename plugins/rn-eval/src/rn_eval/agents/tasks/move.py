@@ -38,6 +38,13 @@ class _Move(CubeTask):
             (off_m <= NEAR_M, f"The hand is {100 * off_m:.1f} cm from where it should be."),
         )
 
+    async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
+        """Make one straight move."""
+        await start_arm(tools)
+        goal = [scene.number(axis) for axis in ("x_m", "y_m", "z_m")]
+        await go_by(tools, *(g - h for g, h in zip(goal, HOME_M, strict=True)))
+        return DONE
+
 
 class ByDistance(_Move):
     """Move by a distance in a direction."""
@@ -59,13 +66,6 @@ class ByDistance(_Move):
             seed, facts={"x_m": x_m, "y_m": y_m, "z_m": z_m}, distance=distance_cm, side=side
         )
 
-    async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
-        """Make one straight move."""
-        await start_arm(tools)
-        goal = [scene.number(axis) for axis in ("x_m", "y_m", "z_m")]
-        await go_by(tools, *(g - h for g, h in zip(goal, HOME_M, strict=True)))
-        return DONE
-
 
 class ToPlace(_Move):
     """Move to coordinates."""
@@ -85,13 +85,6 @@ class ToPlace(_Move):
             "z_m": round(chance.uniform(0.25, 0.5), 2),
         }
         return self.scene(seed, facts=facts)
-
-    async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
-        """Make one straight move."""
-        await start_arm(tools)
-        goal = [scene.number(axis) for axis in ("x_m", "y_m", "z_m")]
-        await go_by(tools, *(g - h for g, h in zip(goal, HOME_M, strict=True)))
-        return DONE
 
 
 class AwayAndHome(_Move):
