@@ -25,7 +25,7 @@ import tempfile
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
@@ -63,6 +63,7 @@ class Server:
         folder.mkdir()
         (folder / "run").mkdir(mode=0o700)
         self._config, self._folder, self._engine = folder / "policies.toml", folder, engine
+        self._count = replicas
         self.token = folder / "token"
         self._config.write_text(
             f'[listen]\nport = 0\ndirectory = "{folder / "run"}"\nkeys = "token"\n'
@@ -102,17 +103,28 @@ class Server:
         made.load()
         return made
 
+    def is_whole(self) -> bool:
+        """True if the model answers, and all its replicas run."""
+        if self._engine == "processes":
+            return self.is_ready()
+        running = self.status()["models"]["one"]["replicas"].get("RUNNING", 0)
+        return bool(running == len(self._replicas()) == self._count)
+
     def kill(self) -> None:
         """Kill the process of the model, or of one replica."""
         if self._engine == "processes":
             os.kill(self.status()["models"]["one"]["pid"], signal.SIGKILL)
-            return
-        name = f"{name_of(self._config)}-one".encode()
+        else:
+            os.kill(self._replicas()[0], signal.SIGKILL)
+
+    def _replicas(self) -> list[int]:
+        name, found = f"{name_of(self._config)}-one".encode(), []
         for entry in Path("/proc").glob("[0-9]*/cmdline"):
-            words = entry.read_bytes()
-            if words.startswith(b"ray::ServeReplica:") and name in words:
-                os.kill(int(entry.parent.name), signal.SIGKILL)
-                return
+            with suppress(OSError):
+                words = entry.read_bytes()
+                if words.startswith(b"ray::ServeReplica:") and name in words:
+                    found.append(int(entry.parent.name))
+        return found
 
 
 def main() -> int:
@@ -183,7 +195,8 @@ def show_kills(
         for _ in range(KILLS):
             end.wait(5.0)
             server.kill()
-            wait_until(server.is_ready, 60.0, "the model is ready again")
+            end.wait(2.0)  # until the death is noticed
+            wait_until(server.is_whole, 120.0, "the model is whole again")
         end.wait(10.0)
         end.set()
         for one in driving:

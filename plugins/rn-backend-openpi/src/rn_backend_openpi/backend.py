@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rn_backend_openpi import metadata
+from rn_backend_openpi.engines import for_engine, url_of
 from rn_backend_openpi.interface import layout_of
 from rn_backend_openpi.layout import STEP, Layout
 from rn_backend_openpi.messages import RESERVED
@@ -26,6 +27,7 @@ from roboneuron import (
     ArmState,
     Backend,
     ConfigurationError,
+    ForeignDataError,
     Frame,
     JointSample,
     NotReadyError,
@@ -33,6 +35,7 @@ from roboneuron import (
     Pose,
     StateError,
     UnsafeError,
+    foreign,
 )
 
 if TYPE_CHECKING:
@@ -42,6 +45,7 @@ _FRESH_S = 0.2
 """Reconnecting time above which the current images are too old, so that the caller must send newer
 ones.
 """
+_ENVELOPE = "action.generation"
 _DOWN_XYZW = (1.0, 0.0, 0.0, 0.0)
 _GREY_PX = (224, 224)
 log = logging.getLogger(__name__)
@@ -93,18 +97,18 @@ class OpenpiBackend:
         from rn_backend_openpi.client import PolicyClient  # heavy
 
         config = self._config
-        layout = layout_of(config)
+        layout, url = for_engine(layout_of(config), config), url_of(config)
         key = self._read_key()
         warning = check_url(
-            config.url, has_key=key is not None, allow_insecure_key=config.allow_insecure_key
+            url, has_key=key is not None, allow_insecure_key=config.allow_insecure_key
         )
         if warning:
             log.warning("%s", warning)
         with ExitStack() as undo:
-            client = PolicyClient(config.url, api_key=key, ca_file=config.ca_file)
+            client = PolicyClient(url, api_key=key, ca_file=config.ca_file)
             undo.callback(client.close)
             first = client.open(config.connect_timeout_s)
-            log.info("policy server at %s says %s", config.url, first)
+            log.info("policy server at %s says %s", url, first)
             told = metadata.check(
                 first,
                 layout,
@@ -180,7 +184,7 @@ class OpenpiBackend:
         if told.is_roboneuron:
             request[RESERVED] = {"left_s": max(left_s, 0.0)}
         reply = client.infer(request, left_s)
-        served = self._served(reply, rows.width)
+        served = self._served(reply, told.layout.served_width)
         metrics = {
             "inference_ms": (time.monotonic() - start) * 1e3,
             "chunk_horizon": float(len(served)),
@@ -191,7 +195,7 @@ class OpenpiBackend:
         if server_ms is not None:
             metrics["server_ms"] = server_ms
         return ActionChunk(
-            actions=rows.to_contract(served, observation),
+            actions=told.layout.rows_of(served, observation),
             step_s=rows.step_s or _step_s(reply),
             space=rows.space,
             metrics=metrics,
@@ -247,6 +251,8 @@ def _side_by_side(reply: Reply, keys: tuple[str, ...]) -> NDArray[np.float64]:
                 hint="Leave action_keys out.",
             )
         return _chunk(reply)
+    if reply.get("object") == _ENVELOPE:
+        return _chunk(_enclosed(reply))
     parts = []
     for key in keys:
         part = reply.get(key)
@@ -263,6 +269,18 @@ def _side_by_side(reply: Reply, keys: tuple[str, ...]) -> NDArray[np.float64]:
         shapes = ", ".join(f"{key} {part.shape}" for key, part in zip(keys, parts, strict=True))
         raise ConfigurationError(f"The policy server's arrays do not fit together: {shapes}.")
     return np.hstack(parts)
+
+
+def _enclosed(reply: dict[object, object]) -> NDArray[np.generic]:
+    """The rows in an envelope of SGLang's /v1/actions/realtime. Raises ConfigurationError."""
+    try:
+        first = foreign.items(foreign.field(reply, "data"), "data", most=MOST_ROWS, least=1)[0]
+        values = foreign.field(foreign.field(first, "action"), "values")
+    except ForeignDataError as error:
+        raise ConfigurationError(f"The policy server's envelope holds no rows: {error}.") from error
+    if not isinstance(values, np.ndarray):
+        raise ConfigurationError("The policy server's envelope holds no array of rows.")
+    return values
 
 
 def _chunk(values: NDArray[np.generic]) -> NDArray[np.float64]:

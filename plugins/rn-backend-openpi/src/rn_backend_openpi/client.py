@@ -194,9 +194,10 @@ class PolicyClient:
                 f"{error.message}",
                 hint="Check that the URL is that of a policy server.",
             ) from error
-        if isinstance(reply, dict) and reply.get("type") == "error":
+        # SGLang tells an error by its traceback alone, vLLM-Omni by a type and a message
+        if isinstance(reply, dict) and (reply.get("type") == "error" or "error" in reply):
             told = str(reply.get("message") or reply.get("error") or "no text")
-            raise self._failure(told, told)
+            raise self._failure(told, (told.strip().splitlines() or ["no text"])[-1])
         return reply
 
     def _failure(self, told: str, shown: str) -> NotReadyError:
@@ -229,8 +230,7 @@ class PolicyClient:
             raise ConfigurationError(
                 f"{self._url} answers, but with HTTP {error.status}: there is no "
                 "policy at this address.",
-                hint="Correct the path in the option 'url': openpi's own server uses none, "
-                "vLLM-Omni /v1/realtime/robot/openpi, SGLang /openpi/policy.",
+                hint="Correct the path in the option 'url', or set `engine`, which has its own.",
             ) from error
 
     def _drop(self) -> None:

@@ -1,17 +1,21 @@
 """Conversion of a policy's gripper and rotation conventions to the contract's openings and
-matrices, and back.
+matrices, and back; conversion to the units of a network.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
+from rn_vla.normalisation import Scaling
 from rn_vla.rotation import F64, matrix_from_rpy, rpy_from_matrix
 from roboneuron import (
+    ConfigurationError,
     UnsafeError,
     matrix_from_quaternion,
     matrix_from_rotvec,
@@ -94,3 +98,43 @@ def rotation_of(quaternion_xyzw: F64, rotation: PoseRotation) -> F64:
         return rpy_from_matrix(matrix)
     axes = matrix if rotation == "rot6d_rows" else matrix.T
     return np.concatenate([axes[0], axes[1]])
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class NetworkUnits:
+    """Conversion for a network that is served without any, as LeRobot checkpoints are by some
+    engines.
+
+    Attributes:
+        state_key: key of the whole state in a request.
+        state, actions: statistics of the training data; None if the server converts.
+        width: number of values of a served row, of which the last are padding; None for none.
+    """
+
+    state_key: str
+    state: Scaling | None = None
+    actions: Scaling | None = None
+    width: int | None = None
+
+    def to_network(self, state: F64) -> NDArray[np.float32]:
+        """Convert a measured state (n,) to the network's units.
+
+        Raises:
+            ConfigurationError: the statistics are of fewer values.
+        """
+        if self.state is None:
+            return state.astype(np.float32)
+        if self.state.width < len(state):
+            raise ConfigurationError(
+                f"The statistics of the state are of {self.state.width} values, the profile's "
+                f"state has {len(state)}.",
+                hint="Name the statistics of the served checkpoint.",
+            )
+        return self.state.head(len(state)).normalize(state).astype(np.float32)
+
+    def from_network(self, served: F64, width: int) -> F64:
+        """Convert served rows (H, m) to rows (H, width) in the profile's units."""
+        rows = served[:, :width]
+        if self.actions is None:
+            return rows
+        return self.actions.head(width).denormalize(rows).astype(np.float64)

@@ -11,10 +11,12 @@ from typing import Any, Literal, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from rn_backend_openpi.conventions import NetworkUnits
 from rn_backend_openpi.rows import Rows
 from rn_backend_openpi.state import StateCodec
 from rn_backend_openpi.wire import Value
 from rn_vla.letterbox import Flip, fit_antialiased, flip_image
+from rn_vla.rotation import F64
 from roboneuron import (
     ActionChunk,
     Frame,
@@ -47,6 +49,7 @@ class Layout:
         prompt_key: key of the instruction.
         state: codec of the measured state.
         rows: codec of the answer's rows.
+        network: conversion for a server that has none, whose keys are never nested; or None.
     """
 
     name: str
@@ -58,6 +61,19 @@ class Layout:
     prompt_key: str
     state: StateCodec
     rows: Rows
+    network: NetworkUnits | None = None
+
+    @property
+    def served_width(self) -> int:
+        """Number of values of a row in the client's answers."""
+        padded = None if self.network is None else self.network.width
+        return self.rows.width if padded is None else padded
+
+    def rows_of(self, served: F64, observation: Observation) -> F64:
+        """Convert served rows (H, served_width) to the contract's; raises as `Rows.to_contract`."""
+        if self.network is not None:
+            served = self.network.from_network(served, self.rows.width)
+        return self.rows.to_contract(served, observation)
 
     def request_of(self, observation: Observation) -> dict[str, Value]:
         """The request that a client sends.
@@ -67,8 +83,12 @@ class Layout:
             UnsafeError: a measured value is not finite.
         """
         request: dict[str, Value] = {self.prompt_key: observation.instruction}
-        for key, value in self.state.build(observation).items():
-            _put(request, key, value)
+        state = self.state.build(observation)
+        if self.network is not None:
+            parts = [np.asarray(part, dtype=np.float64) for part in state.values()]
+            state = {self.network.state_key: self.network.to_network(np.concatenate(parts))}
+        for key, value in state.items():
+            self._put(request, key, value)
         for role, key in self.image_keys.items():
             frame = observation.frames.get(role)
             if frame is None and role in self.optional_roles:
@@ -80,8 +100,16 @@ class Layout:
                     f"observation has: {have}.",
                     hint="Remove the role from image_keys if the served model does not need it.",
                 )
-            _put(request, key, self._to_wire(frame.image))
+            self._put(request, key, self._to_wire(frame.image))
         return request
+
+    def _put(self, request: dict[str, Value], key: str, value: Value) -> None:
+        """Set a value at a key whose dots separate nested maps, unless a network's are names."""
+        *outer, last = key.split(".") if self.network is None else [key]
+        at = request
+        for name in outer:
+            at = cast("dict[str, Value]", at.setdefault(name, {}))
+        at[last] = value
 
     def _to_wire(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
         turned = flip_image(image, self.flip)
@@ -157,15 +185,6 @@ class Layout:
         return Frame(
             camera=role, image=np.ascontiguousarray(upright), stamp_ns=0, frame_id=f"{role}_optical"
         )
-
-
-def _put(request: dict[str, Value], key: str, value: Value) -> None:
-    """Set a value at a key whose dots separate nested maps."""
-    at = request
-    *outer, last = key.split(".")
-    for name in outer:
-        at = cast("dict[str, Value]", at.setdefault(name, {}))
-    at[last] = value
 
 
 def _flat(

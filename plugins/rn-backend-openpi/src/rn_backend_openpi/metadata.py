@@ -9,7 +9,14 @@ from dataclasses import dataclass, replace
 
 from rn_backend_openpi.layout import Layout, Size
 from rn_backend_openpi.wire import Value
-from roboneuron import Channel, ConfigurationError, ControlSpace, InvalidInputError
+from roboneuron import (
+    Channel,
+    ConfigurationError,
+    ControlSpace,
+    ForeignDataError,
+    InvalidInputError,
+    foreign,
+)
 
 PROTOCOL = 1
 """Version of the metadata that RoboNeuron's server adds to openpi's."""
@@ -23,6 +30,9 @@ _ARENA_SPACES = {
 """Spaces by RoboArena's names. Source: roboarena policy_server.py, PolicyServerConfig."""
 _EXTERNAL = "exterior_image"
 """Substring of RoboArena's keys for cameras that are not at the wrist."""
+_ACTIONS = "action.metadata"
+_BARE_FAMILIES = ("pi05", "pi0")
+"""Of SGLang: it neither normalises their state nor converts their rows back."""
 _ARENA_MARKS = ("needs_session_id", "n_external_cameras", "needs_wrist_camera")
 
 
@@ -116,13 +126,18 @@ def check(
     Raises:
         ConfigurationError: they disagree; names both sides.
     """
+    if metadata.get("object") == _ACTIONS:
+        told = _for_actions(metadata, layout)
+        return Told(layout=told, is_roboneuron=False, is_roboarena=dialect == "roboarena")
     is_ours = metadata.get("server") == SERVER
     if is_ours:
         layout = _check_ours(metadata, layout)
     elif isinstance(metadata.get("action_space"), str):
         _check_kind(str(metadata["action_space"]), layout)
     is_arena = not is_ours and any(mark in metadata for mark in _ARENA_MARKS)
-    if is_arena:
+    if layout.network is not None:
+        layout = _padded(layout, metadata.get("action_dim", layout.rows.width))
+    elif is_arena:
         layout = _with_cameras(metadata, layout)
     layout = _with_size(metadata, layout, size_is_set=size_is_set)
     return Told(
@@ -130,6 +145,46 @@ def check(
         is_roboneuron=is_ours,
         is_roboarena=dialect == "roboarena" or (dialect == "auto" and is_arena),
     )
+
+
+def _for_actions(metadata: Mapping[object, object], layout: Layout) -> Layout:
+    """The layout for the server of SGLang that sends these metadata.
+
+    Raises:
+        ConfigurationError: it would take the robot's units for the network's, or compute black for
+            a camera that it does not know.
+    """
+    network, family = layout.network, str(metadata.get("policy_family"))
+    if network is None or (network.actions is None and family in _BARE_FAMILIES):
+        raise ConfigurationError(
+            f"The server serves {family!r} bare: states and rows are in the network's units.",
+            hint="Set engine = 'sglang' and the table [plugins.openpi.normalisation].",
+        )
+    try:
+        given, output = foreign.field(metadata, "input"), foreign.field(metadata, "output")
+        cameras = foreign.items(foreign.field(given, "image_keys"), "image_keys", most=16)
+        width = foreign.field(output, "action_dim")
+    except ForeignDataError as error:
+        raise ConfigurationError(f"The server's metadata are malformed: {error}.") from error
+    for role, key in layout.image_keys.items():
+        if key.rpartition(".")[2] not in cameras and role not in layout.optional_roles:
+            raise ConfigurationError(
+                f"The server knows no camera {key!r} (role {role!r}) and would compute black for "
+                f"it; its cameras: {', '.join(map(str, cameras))}.",
+                hint="Correct image_keys.",
+            )
+    known = {role: k for role, k in layout.image_keys.items() if k.rpartition(".")[2] in cameras}
+    return _padded(replace(layout, image_keys=known), width)
+
+
+def _padded(layout: Layout, width: object) -> Layout:
+    """The layout for served rows of that many values."""
+    if not isinstance(width, int) or width < layout.rows.width or layout.network is None:
+        raise ConfigurationError(
+            f"The server's rows have {width!r} values, the profile's {layout.rows.width}.",
+            hint="Choose the profile of the served policy.",
+        )
+    return replace(layout, network=replace(layout.network, width=width))
 
 
 def _check_ours(metadata: Mapping[object, object], layout: Layout) -> Layout:

@@ -14,6 +14,7 @@ from rn_backend_openpi.conventions import GripperValue, PoseRotation
 from rn_backend_openpi.layout import Axes
 from rn_backend_openpi.rows import JointKind
 from rn_vla.letterbox import Flip
+from rn_vla.normalisation import ScalingKind
 from rn_vla.tcp_profiles import ActionOptions, OptionSection, Vector
 from rn_vla.tcp_state import StateTerm
 from roboneuron import AgentMaySet, ConfigurationOnly
@@ -207,9 +208,26 @@ class ServerOptions(OptionSection):
         return {name: value for name, value in given.items() if name not in _OLD}
 
 
+class NormalisationOptions(OptionSection):
+    """Statistics of the served checkpoint's training data."""
+
+    file: Annotated[Path, ConfigurationOnly()] = Field(description="openpi's norm_stats.json")
+    kind: ScalingKind = Field(description="'quantiles' for pi0.5, 'mean_std' for pi0")
+
+
 class OpenpiOptions(InterfaceOptions):
     """Options of the backend "openpi", and of `roboneuron openpi-server`."""
 
+    engine: Literal["sglang", "vllm-omni"] | None = Field(
+        default=None,
+        description="the engine that serves a LeRobot checkpoint: its path, its names, rows padded "
+        "to the network's width",
+    )
+    normalisation: NormalisationOptions | Literal["server"] | None = Field(
+        default=None,
+        description="of an engine: the statistics by which the client converts states and rows; "
+        "'server' if the engine does",
+    )
     url: Annotated[str, ConfigurationOnly()] = Field(
         default="ws://127.0.0.1:8000",
         pattern=r"^wss?://\S+$",
@@ -245,6 +263,23 @@ class OpenpiOptions(InterfaceOptions):
     server: Annotated[ServerOptions, ConfigurationOnly()] = Field(
         default=ServerOptions(), description="options of `roboneuron openpi-server`"
     )
+
+    @property
+    def is_bare(self) -> bool:
+        """True if the engine serves the network of a LeRobot checkpoint; DreamZero is no such."""
+        return self.engine is not None and self.profile != "roboarena"
+
+    @model_validator(mode="after")
+    def _fits_the_engine(self) -> Self:
+        if self.is_bare and self.profile == PLAIN:
+            raise ValueError("an engine serves none of RoboNeuron's rows; choose another profile")
+        if self.is_bare and self.normalisation is None:
+            raise ValueError(
+                "an engine needs normalisation: a table with file and kind, or 'server'"
+            )
+        if not self.is_bare and self.normalisation is not None:
+            raise ValueError("normalisation belongs to an engine")
+        return self
 
     @model_validator(mode="after")
     def _has_one_key(self) -> Self:

@@ -165,7 +165,7 @@ class RayModel:
         from rn_backend_openpi.ray_replica import PolicyReplica
 
         replicas = serve.deployment(**self._settings())(PolicyReplica)
-        application = replicas.bind(self._options.shared().model_dump_json(exclude_unset=True))
+        application = replicas.bind(self._options.shared().model_dump(exclude_unset=True))
         try:
             self._handle = serve.run(application, name=self._application, route_prefix=None)
         except RuntimeError as error:  # the replicas could not load the model

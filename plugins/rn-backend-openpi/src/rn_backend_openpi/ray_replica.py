@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import OrderedDict
+from collections.abc import Mapping
 from pathlib import Path
 
 from rn_backend_openpi.conversations import PolicyRequest, answered, told_of
@@ -21,17 +22,17 @@ class PolicyReplica:
     """Loads the model and answers requests of any robot, several at once.
 
     Args:
-        options: options of the model, as JSON of `SharedOptions`.
+        options: options of the model, those of `SharedOptions` that are set.
 
     Raises:
         RoboNeuronError: the model cannot be loaded; Ray Serve reports it.
     """
 
-    def __init__(self, options: str) -> None:
+    def __init__(self, options: Mapping[str, object]) -> None:
         self._robots: OrderedDict[str, ModelConversation] = OrderedDict()
         # it opens no socket: the requests come by Ray
         self._served = SharedModelServer(
-            SharedOptions.model_validate_json(options), Path(os.devnull), None
+            SharedOptions.model_validate(options), Path(os.devnull), None
         )
         self._served.load()
 

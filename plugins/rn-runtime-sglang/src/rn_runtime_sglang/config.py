@@ -50,7 +50,7 @@ class SglangRuntimeConfig(BaseModel):
     port: Annotated[int | None, Field(ge=1, le=65535), ConfigurationOnly()] = None
     """Managed: port on this machine; None chooses a free one."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
-    """Managed: device of the model; `cpu` needs the steps of docs/sglang.md."""
+    """Managed: device of the model; `cpu` needs the steps of docs/serving.md."""
     dtype: Literal["auto", "float32", "bfloat16", "float16"] = "auto"
     """Managed: `auto` is the checkpoint's own type on a GPU and float32 on the CPU."""
     server_arguments: Annotated[tuple[str, ...], ConfigurationOnly()] = ()

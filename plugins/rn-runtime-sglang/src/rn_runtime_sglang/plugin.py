@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from roboneuron import RuntimeSpec, hookimpl
 
 FAMILIES = ("openvla",)
-"""Supported model families; docs/sglang.md explains why OpenVLA-OFT and pi0 are not among them."""
+"""Supported model families; docs/serving.md explains why OpenVLA-OFT and pi0 are not among them."""
 CAPABILITIES = ("token-decode",)
-"""Supported kinds of request. It has no hook to drop visual tokens: see docs/sglang.md."""
+"""Supported kinds of request. It has no hook to drop visual tokens: see docs/serving.md."""
 
 
 @hookimpl
