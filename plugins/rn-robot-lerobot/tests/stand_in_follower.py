@@ -53,6 +53,8 @@ class StandInFollower:
         """Number of further failing attempts to connect."""
         self.wild = 0
         """Number of further implausible readings."""
+        self.good = 0
+        """Number of plausible readings so far."""
 
     def connect(self, calibrate: bool = True) -> None:
         assert not calibrate  # it would wait for a person
@@ -77,6 +79,8 @@ class StandInFollower:
         if self.wild > 0:
             self.wild -= 1
             values["wrist_flex.pos"] -= 80.0
+        else:
+            self.good += 1
         return values
 
     def send_action(self, action: dict[str, float]) -> Mapping[str, float]:

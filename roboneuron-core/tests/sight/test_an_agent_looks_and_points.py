@@ -221,14 +221,14 @@ def test_the_hand_says_what_it_holds(
 
 def test_subscriptions_stay_for_the_next_look_and_end_when_nobody_looks() -> None:
     cell = PaintedCell(cubes=CUBES)
-    views = CellViews(cell.host, kept_s=0.3)
-    views.take(None, table_m=0.0)
+    views = CellViews(kept_s=0.3)
+    views.take(cell.host, None, table_m=0.0)
     first = list(cell.takers)
-    views.take(None, table_m=0.0)
+    views.take(cell.host, None, table_m=0.0)
     assert cell.takers == first
     assert first
     views.renew()
-    views.take(None, table_m=0.0)
+    views.take(cell.host, None, table_m=0.0)
     assert len(cell.takers) == len(first)
     assert cell.takers != first, "a module was changed: what it sent may not hold any more"
     wait_until(lambda: not cell.takers, 10.0, "the subscriptions end")
@@ -236,11 +236,11 @@ def test_subscriptions_stay_for_the_next_look_and_end_when_nobody_looks() -> Non
 
 def test_a_picture_from_before_the_look_is_not_shown() -> None:
     cell = PaintedCell(cubes=CUBES)
-    views, profile = CellViews(cell.host), cell.profile()
-    assert len(views.take(profile, table_m=0.0).images) == 2
+    views, profile = CellViews(), cell.profile()
+    assert len(views.take(cell.host, profile, table_m=0.0).images) == 2
     with cell.lock:
         cell.ages_s = {"above": 0.0}
-    view = views.take(profile, table_m=0.0, wait_s=0.3)
+    view = views.take(cell.host, profile, table_m=0.0, wait_s=0.3)
     assert [image.frame.camera for image in view.images] == ["above"]
     assert view.problems.keys() == {"side"}
     views.close()

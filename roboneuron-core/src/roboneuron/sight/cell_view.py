@@ -186,12 +186,11 @@ class CellViews:
     one need not wait until its publishers know of it. Usable from any thread.
     """
 
-    def __init__(self, host: Host, kept_s: float = _KEPT_S) -> None:
+    def __init__(self, kept_s: float = _KEPT_S) -> None:
         """Args:
-        host: of the feature.
         kept_s: time that subscriptions stay after a view [s].
         """
-        self._host, self._kept_s = host, kept_s
+        self._kept_s = kept_s
         self._lock = threading.Lock()
         self._watch: _CellWatch | None = None
         self._is_outdated = False
@@ -200,6 +199,7 @@ class CellViews:
 
     def take(
         self,
+        host: Host,
         profile: RobotProfile | None,
         *,
         table_m: float,
@@ -210,6 +210,7 @@ class CellViews:
         for at most `wait_s`.
 
         Args:
+            host: of the feature.
             profile: of the present robot; without one no camera is calibrated.
             table_m: height of the table's top in the base frame [m].
             newer_than_ns: only pictures taken later, ROS clock [ns].
@@ -220,7 +221,7 @@ class CellViews:
         """
         began_s = time.monotonic()
         with self._lock:
-            watch = self._opened(profile, table_m)
+            watch = self._opened(host, profile, table_m)
             self._users += 1
         try:
             view = watch.view(newer_than_ns, began_s)
@@ -246,18 +247,18 @@ class CellViews:
                 self._end.cancel()
             self._close()
 
-    def _opened(self, profile: RobotProfile | None, table_m: float) -> _CellWatch:
+    def _opened(self, host: Host, profile: RobotProfile | None, table_m: float) -> _CellWatch:
         """The watch of a profile. Raises RoboNeuronError."""
         if self._end is not None:
             self._end.cancel()
         watch = self._watch
         if watch is not None and watch.profile is profile and not self._is_outdated:
-            cameras = tuple(self._host.loop.camera_roles())
-            if watch.cameras == cameras and watch.deep == deep_cameras(self._host, cameras):
+            cameras = tuple(host.loop.camera_roles())
+            if watch.cameras == cameras and watch.deep == deep_cameras(host, cameras):
                 return watch
         self._close()
         self._is_outdated = False
-        watch = _CellWatch(self._host, profile, table_m)
+        watch = _CellWatch(host, profile, table_m)
         try:
             watch.open()
         except BaseException:

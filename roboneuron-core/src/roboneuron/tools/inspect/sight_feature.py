@@ -50,11 +50,11 @@ class Sight(Feature[SightOptions]):
         self._looks: OrderedDict[str, CellLook] = OrderedDict()
         self._labels: dict[str, tuple[str, ...]] = {}
         self._memory = SightMemory()
+        self._views = CellViews()
 
     def tools(self, host: Host) -> Sequence[Tool[Any]]:
         """look and locate."""
         self._host = host
-        self._views = CellViews(host)
         host.events.change.listen(self._on_change)
         host.events.call_ended.listen(self._on_call)
         return [
@@ -96,7 +96,9 @@ class Sight(Feature[SightOptions]):
             changes = self._changes
         exposed = self._arm()
         profile = None if exposed is None else exposed.profile
-        view = self._views.take(profile, table_m=self.options.table_m, newer_than_ns=newer_than_ns)
+        view = self._views.take(
+            self._host, profile, table_m=self.options.table_m, newer_than_ns=newer_than_ns
+        )
         hands = hands_in(self._host, exposed, view)
         found: tuple[LocatedObject, ...] = ()
         failure = ""
