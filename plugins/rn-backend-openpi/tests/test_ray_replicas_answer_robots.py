@@ -202,7 +202,7 @@ def test_a_missing_ray_is_one_clear_sentence(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr(builtins, "__import__", without)
     with pytest.raises(MissingDependencyError, match="--engine ray needs Ray Serve") as refusal:
         ray_models(RayOptions()).__enter__()
-    assert refusal.value.hint == 'pip install "rn-backend-openpi[ray]"'
+    assert refusal.value.hint == 'pip install "ray[serve]"'
 
 
 def test_what_replicas_cannot_have_is_refused() -> None:

@@ -64,7 +64,7 @@ def ray_models(options: RayOptions) -> Iterator[MakeModel]:
     except ImportError as error:
         raise MissingDependencyError(
             f"--engine ray needs Ray Serve, which is not installed: {error}.",
-            hint='pip install "rn-backend-openpi[ray]"',
+            hint='pip install "ray[serve]"',
         ) from error
     is_own = options.address is None
     chosen = (
