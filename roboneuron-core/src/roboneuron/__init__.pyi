@@ -61,12 +61,14 @@ from .contract import (
     RobotProfile as RobotProfile,
     RobotState as RobotState,
     Runtime as Runtime,
+    SPACE_KINDS as SPACE_KINDS,
     SeveralArms as SeveralArms,
     SpaceController as SpaceController,
     Topics as Topics,
     Workspace as Workspace,
     apply_delta as apply_delta,
     channel_keys as channel_keys,
+    check_rgb8 as check_rgb8,
     depth_from_message as depth_from_message,
     frame_from_buffer as frame_from_buffer,
     joint_kinds as joint_kinds,
@@ -76,6 +78,9 @@ from .contract import (
 from .contract.arrays import (
     F64 as F64,
     freeze as freeze,
+)
+from .contract.encodings import (
+    MEASURE_ENCODINGS as MEASURE_ENCODINGS,
 )
 from .contract.image import (
     MAX_SIDE_PX as MAX_SIDE_PX,

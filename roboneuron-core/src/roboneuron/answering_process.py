@@ -24,6 +24,9 @@ from typing import cast
 from roboneuron.errors import NotReadyError, RoboNeuronError
 from roboneuron.hang_watch import VARIABLE
 
+__all__ = ["AnsweringProcess"]
+"""Names that other distributions may use."""
+
 COMMAND = (sys.executable, "-m", "roboneuron.hang_watch", "roboneuron.answering_process")
 """Command line, to which the descriptor of its socket is added."""
 MOST_BYTES = 64 << 20

@@ -12,16 +12,17 @@ __getattr__, __dir__, __all__ = attach(__name__, __file__)
 GROUPS: Mapping[str, frozenset[str]] = {
     name: frozenset(names.split())
     for name, names in {
+        "availability": "known_names missing present",
         "descriptor": "NAME_PATTERN check_spec",
-        "environment": "module_environment prepare_environment state_directory",
+        "environment": "CLIENT_TOKEN module_environment prepare_environment state_directory",
         "estop": "EmergencyStopLatch",
         "loading": "load_attribute load_options load_options_model load_target",
         "log_files": "begin_logging opener",
-        "messages": "intrinsics_from_camera_info joints_from_message",
+        "messages": "intrinsics_from_camera_info joints_from_message to_image",
         "qos": "requested_qos",
-        "reading": "default_text robot_folder",
+        "reading": "default_text read_state_directory robot_folder",
         "settings": "EMERGENCY_STOP_TOPIC HOLD_DURATION_S",
-        "terminal": "is_agreed",
+        "terminal": "add_verbosity is_agreed log_level",
         "topics": "ACTION DIAGNOSTICS JOINT_STATES",
     }.items()
 }

@@ -20,6 +20,7 @@ from .modules import (
     settings as settings,
 )
 from .plugins import (
+    availability as availability,
     descriptor as descriptor,
     loading as loading,
 )
@@ -36,6 +37,9 @@ from .hang_watch import (
 )
 from .cli.main import (
     CommandModule as CommandModule,
+    all_commands as all_commands,
+    load_command as load_command,
+    spoken as spoken,
 )
 from .config.models import (
     Config as Config,
@@ -70,6 +74,9 @@ from .modules.report import (
 from .modules.settings import (
     ModuleKind as ModuleKind,
 )
+from .planning import (
+    check_configuration as check_configuration,
+)
 from .plugins.discovery import (
     discover as discover,
     discover_from as discover_from,
@@ -85,6 +92,9 @@ from .plugins.specs import (
 )
 from .ros.link import (
     RosLink as RosLink,
+)
+from .server.app import (
+    make_served as make_served,
 )
 from .server.registry import (
     ERROR_META as ERROR_META,

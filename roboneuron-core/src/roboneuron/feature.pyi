@@ -8,14 +8,31 @@ from collections.abc import Mapping
 # Modules, of which the names in `GROUPS` may be used.
 from . import (
     estop as estop,
+    log_files as log_files,
+)
+from .config import (
+    models as models,
+    reading as reading,
+)
+from .gate.motion import (
+    joint_space as joint_space,
+)
+from .modules import (
+    settings as settings,
 )
 from .ros import (
     topics as topics,
+)
+from .plugins import (
+    loading as loading,
 )
 
 # Single names.
 from .gate.motion import (
     LimitedCommand as LimitedCommand,
+)
+from .gate.motion.command import (
+    Asked as Asked,
 )
 from .modules.module_host import (
     Module as Module,
@@ -37,8 +54,12 @@ from .gate.audit import (
     AuditLog as AuditLog,
     AuditRecord as AuditRecord,
 )
+from .gate.motion.limiter import (
+    MotionLimiter as MotionLimiter,
+)
 from .gate.motion.rules import (
     MotionRules as MotionRules,
+    inspector_of as inspector_of,
     motion_rules as motion_rules,
 )
 from .modules.plugin import (
@@ -60,6 +81,9 @@ from .plugins.registry import (
 from .server.app import (
     Application as Application,
 )
+from .server.host import (
+    Events as Events,
+)
 from .server.interception import (
     CallPhase as CallPhase,
     EndedCall as EndedCall,
@@ -68,11 +92,23 @@ from .server.interception import (
     Proceed as Proceed,
     Simulator as Simulator,
 )
+from .server.loop import (
+    ClosedLoop as ClosedLoop,
+)
 from .server.motion_gate import (
     ExposedEndpoint as ExposedEndpoint,
     GateRequest as GateRequest,
     MotionGate as MotionGate,
     TimedCommand as TimedCommand,
+)
+from .server.registry import (
+    ToolRegistry as ToolRegistry,
+)
+from .server.schema import (
+    Shape as Shape,
+)
+from .server.surface import (
+    make_server as make_server,
 )
 from .server.tool import (
     Answer as Answer,
@@ -82,10 +118,14 @@ from .supervisor.changes import (
     Periodic as Periodic,
     Stage as Stage,
 )
+from .supervisor.connection import (
+    Connection as Connection,
+)
 from .supervisor.health import (
     EXPLANATIONS as EXPLANATIONS,
     FAULTS as FAULTS,
     Health as Health,
+    Modules as Modules,
     ModuleView as ModuleView,
 )
 

@@ -12,7 +12,7 @@ import pytest
 from rn_eval_stepped.task import SteppedTaskTime
 from rn_eval_stepped.world_clock import FREE, ROWS_METRIC, TURN_METRIC, TURN_PARAMETER, WorldClock
 from rn_standard.tasks.live import LiveCell
-from roboneuron.modules.report import Report
+from roboneuron.feature import Report
 from roboneuron.supervisor.health import ModuleView
 
 MOVING, WAITING, RESTING = 0, 1, 3

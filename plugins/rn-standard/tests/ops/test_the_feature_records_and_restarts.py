@@ -20,8 +20,7 @@ from rn_standard.ops.feature import SafetyFaults
 from rn_standard.ops.plugin import FEATURE
 from rn_testing.agent import Agent, client_of
 from rn_testing.waiting import wait_until
-from roboneuron.feature import ModuleView
-from roboneuron.modules.report import Report
+from roboneuron.feature import ModuleView, Report
 from roboneuron.server.app import Application
 
 SOURCES = ("robot", "perception", "inference", "control", "server")

@@ -12,7 +12,7 @@ import pytest
 
 from rn_standard.tasks.live import LiveCell
 from roboneuron import StateError
-from roboneuron.modules.report import Report
+from roboneuron.feature import Report
 from roboneuron.server.clock import RobotClock
 
 WORDS = "pick up the red cube"

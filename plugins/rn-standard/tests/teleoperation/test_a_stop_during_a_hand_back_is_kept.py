@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from rn_standard.teleoperation.feature import Teleoperation
-from roboneuron.modules import settings
+from roboneuron.feature import settings
 
 
 class Cell:

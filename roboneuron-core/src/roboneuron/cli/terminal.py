@@ -12,7 +12,6 @@ from argparse import SUPPRESS, ArgumentError, ArgumentParser, Namespace, _SubPar
 from collections.abc import Sequence
 from contextlib import suppress
 from io import TextIOWrapper
-from pathlib import Path
 
 from roboneuron.errors import RefusedError, RoboNeuronError
 from roboneuron.log_files import begin_logging, printable
@@ -177,49 +176,6 @@ def ask(question: str) -> str:
 def is_agreed(question: str) -> bool:
     """True if a person answers with yes."""
     return ask(f"{question} [y/N] ") in ("y", "yes")
-
-
-def check_terminal(what: str) -> None:
-    """Raise RefusedError without a terminal: `what` is for a person who answers there."""
-    if not sys.stdin.isatty():
-        raise RefusedError(
-            f"Only a person in a terminal can {what}, and this is no terminal.",
-            hint="Run the same command in a terminal (over ssh: `ssh -t`).",
-            rule="person",
-        )
-
-
-def add_state_options(parser: ArgumentParser, robots: str) -> None:
-    """Add the options of a command that works in a server's state directory, also without the
-    server.
-
-    Args:
-        parser: parser of the command.
-        robots: what --robot chooses.
-    """
-    parser.add_argument(
-        "--config",
-        type=Path,
-        metavar="FILE",
-        help="a roboneuron.toml that names the state directory",
-    )
-    parser.add_argument(
-        "--state", type=Path, metavar="DIRECTORY", help="the state directory itself"
-    )
-    parser.add_argument("--robot", metavar="NAME", help=f"{robots}; all of them without it")
-
-
-def chosen_state_directory(arguments: Namespace) -> Path:
-    """The directory that the options of `add_state_options` name.
-
-    Raises:
-        ConfigurationError: see `read_state_directory`.
-    """
-    from roboneuron.config import read_state_directory  # pydantic
-    from roboneuron.ros.environment import state_directory
-
-    configured = read_state_directory(arguments.config) if arguments.config else None
-    return state_directory(str(arguments.state) if arguments.state else configured)
 
 
 def ask_hidden(question: str) -> str:

@@ -21,7 +21,7 @@ from roboneuron.ros import topics
 from roboneuron.server.motion_gate import ExposedEndpoint, GateRequest
 from roboneuron.server.tool import CallContext
 
-__all__ = ["ACTION_LABEL", "gate_request"]
+__all__ = ["ACTING_TOPIC", "ACTION_LABEL", "LEAD_LABEL", "LEAD_TOPIC", "gate_request"]
 """Names that other distributions may use."""
 
 _ACTION_TYPE = "std_msgs/msg/Float64MultiArray"

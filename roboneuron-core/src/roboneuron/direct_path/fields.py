@@ -20,6 +20,9 @@ from roboneuron.direct_path.interface_class import UnusableTypeError, import_cla
 from roboneuron.direct_path.message_types import MessageName, RosMessage
 from roboneuron.errors import ConfigurationError, InvalidInputError
 
+__all__ = ["check_path", "load_type", "read_value"]
+"""Names that other distributions may use."""
+
 FLOATS = frozenset({"float", "double"})
 INTEGERS = frozenset(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))
 """Integer types in rosidl notation; `octet` and `boolean` are not numbers."""

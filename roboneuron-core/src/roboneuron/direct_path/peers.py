@@ -14,6 +14,20 @@ if TYPE_CHECKING:
     from rclpy.node import Node
     from rclpy.topic_endpoint_info import TopicEndpointInfo
 
+__all__ = [
+    "HUMBLE",
+    "HUMBLE_HINT",
+    "DdsGraph",
+    "NodeDdsGraph",
+    "both_ends",
+    "is_foreign",
+    "old_participants",
+    "participant_of",
+    "qos_mismatches",
+    "vendor_of",
+]
+"""Names that other distributions may use."""
+
 HUMBLE = (
     "A process announces its nodes without type hashes, as ROS 2 Humble and older do: a type that "
     "differs is not noticed, and the discovery messages of newer nodes can use up its memory."

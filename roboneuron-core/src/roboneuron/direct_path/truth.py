@@ -7,6 +7,9 @@ from __future__ import annotations
 import os
 import re
 
+__all__ = ["is_withheld"]
+"""Names that other distributions may use."""
+
 SWITCH = "ROBONEURON_SIMULATOR_TRUTH"
 """Environment variable of a server: "on" for servers that judge by ground truth, such as demos;
 otherwise simulated robots do not report it, and clients cannot read it.

@@ -12,18 +12,13 @@ import time
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-from roboneuron.cli.terminal import (
-    add_state_options,
-    ask_hidden,
-    check_terminal,
-    chosen_state_directory,
-    is_agreed,
-)
-from roboneuron.config import robot_folder
-from roboneuron.errors import ConfigurationError, RoboNeuronError
+from roboneuron.cli.terminal import ask_hidden, is_agreed
+from roboneuron.config import read_state_directory, robot_folder
+from roboneuron.errors import ConfigurationError, RefusedError, RoboNeuronError
 from roboneuron.estop.latch import EmergencyStopLatch
 from roboneuron.estop.pin import ReleasePin
 from roboneuron.gate import AuditLog, AuditRecord, Role
+from roboneuron.ros.environment import state_directory
 
 _AGAIN_S = 0.1
 """Time within which a process that keeps the stop on the topic latches it again after a release."""
@@ -31,7 +26,18 @@ _AGAIN_S = 0.1
 
 def configure(parser: ArgumentParser) -> None:
     """Add the arguments of `roboneuron estop`."""
-    add_state_options(parser, "only this one of several robots")
+    parser.add_argument(
+        "--config",
+        type=Path,
+        metavar="FILE",
+        help="a roboneuron.toml that names the state directory",
+    )
+    parser.add_argument(
+        "--state", type=Path, metavar="DIRECTORY", help="the state directory itself"
+    )
+    parser.add_argument(
+        "--robot", metavar="NAME", help="only this one of several robots; all of them without it"
+    )
     parser.add_argument("--reason", default="", help="why; kept in the latch and in the audit")
     action = parser.add_mutually_exclusive_group()
     action.add_argument("--reset", action="store_true", help="release it; look at the robot first")
@@ -54,7 +60,8 @@ def run(arguments: Namespace) -> int:
         ConfigurationError: the robot is unknown, or the file names no state directory.
         RoboNeuronError: one stop could not be latched; the others are.
     """
-    directory = chosen_state_directory(arguments)
+    configured = read_state_directory(arguments.config) if arguments.config else None
+    directory = state_directory(str(arguments.state) if arguments.state else configured)
     _folders(directory, arguments.robot)  # raises for an unknown robot
     who = AuditLog.user_at_terminal()
     if arguments.set_pin:
@@ -129,7 +136,7 @@ def _reset(latch: EmergencyStopLatch, audit: AuditLog, who: str) -> int:
     if not state.latched:
         print(f"The emergency stop is not latched ({latch.path}).")
         return 0
-    check_terminal("release the emergency stop")
+    _check_terminal("The emergency stop is released")
     print(f"Latched{f' by {state.cause}' if state.cause else ''} ({latch.path}).")
     if state.reason:
         print("The words in quotation marks are theirs, a person's or an agent's.")
@@ -152,6 +159,16 @@ def _reset(latch: EmergencyStopLatch, audit: AuditLog, who: str) -> int:
     return 0
 
 
+def _check_terminal(what: str) -> None:
+    """Raise RefusedError without a terminal for a question."""
+    if not sys.stdin.isatty():
+        raise RefusedError(
+            f"{what} only by a person in a terminal, and this is no terminal.",
+            hint="Run the same command in a terminal (over ssh: `ssh -t`).",
+            rule="person",
+        )
+
+
 def _set_pin(pin: ReleasePin, audit: AuditLog, who: str) -> int:
     """Ask for the present PIN, and twice for the new one.
 
@@ -159,7 +176,7 @@ def _set_pin(pin: ReleasePin, audit: AuditLog, who: str) -> int:
         RefusedError: there is no terminal, or the present PIN is wrong.
         InvalidInputError: the new one is too short or too long.
     """
-    check_terminal("set the PIN")
+    _check_terminal("The PIN is set")
     if pin.is_set:
         pin.check(ask_hidden("Present PIN: "), who=who, audit=audit)
     new = ask_hidden("New PIN (empty for none): ")

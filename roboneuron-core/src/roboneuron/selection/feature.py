@@ -15,6 +15,9 @@ from roboneuron.server.feature import Feature
 from roboneuron.server.host import Host
 from roboneuron.server.loop import StartForm
 
+__all__ = ["why_not_started"]
+"""Names that other distributions may use."""
+
 
 class SelectionFeature(Feature[SelectionSections]):
     """Lets clients choose what start_robot, start_perception, start_control and start_inference

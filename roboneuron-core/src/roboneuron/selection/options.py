@@ -10,6 +10,9 @@ from pydantic import Field, field_validator
 from roboneuron.config import models as core_models
 from roboneuron.config.models import Config, Section
 
+__all__ = ["NamedModelOptions", "named_models"]
+"""Names that other distributions may use."""
+
 
 class NamedModelOptions(Section):
     """`[models.<name>]`: a policy that agents may choose by name."""

@@ -12,6 +12,9 @@ from roboneuron.modules.settings import ModuleKind
 from roboneuron.planning import KIND_ENTRIES
 from roboneuron.server.tool import Arguments
 
+__all__ = ["StartChosenInference"]
+"""Names that other distributions may use."""
+
 Options = Annotated[
     dict[str, object],
     Field(

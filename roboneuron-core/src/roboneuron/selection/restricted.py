@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from pydantic import BaseModel
     from pydantic.fields import FieldInfo
 
-__all__ = ["looks_restricted", "marks"]
+__all__ = ["is_restricted", "looks_restricted", "marks", "restricted_values"]
 """Names that other distributions may use."""
 
 _WORDS = re.compile(

@@ -9,6 +9,9 @@ from mcp.types import JSONRPCMessage, jsonrpc_message_adapter
 from pydantic import ValidationError
 from pydantic_core import from_json
 
+__all__ = ["EnvelopeError", "is_urgent"]
+"""Names that other distributions may use."""
+
 INVALID_JSON, INVALID_REQUEST = -32700, -32600
 """Error codes. Source: JSON-RPC 2.0, section 5.1."""
 URGENT_TOOLS = frozenset({"emergency_stop"})

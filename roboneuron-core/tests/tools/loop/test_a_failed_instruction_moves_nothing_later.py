@@ -10,8 +10,7 @@ from typing import Any, cast
 import pytest
 
 from roboneuron import NotReadyError, RoboNeuronError, StateError, UngroundedError
-from roboneuron.modules.report import Report
-from roboneuron.server.loop import ClosedLoop
+from roboneuron.feature import ClosedLoop, Report
 from roboneuron.tools.loop.instructing import give_instruction
 
 TICKET = 7

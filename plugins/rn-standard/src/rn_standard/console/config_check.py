@@ -18,10 +18,13 @@ class ConfigCheck:
         """Refuse what `roboneuron serve` would refuse at its start, except ports in use, which a
         running server may hold; and name what it would leave out, which gives 1.
         """
-        from roboneuron.command import discover, load_config
+        from roboneuron.command import (
+            check_configuration,
+            discover,
+            load_config,
+            make_served,  # heavy
+        )
         from roboneuron.modules.arm_paths import UncheckedPaths  # numpy
-        from roboneuron.planning import check_configuration
-        from roboneuron.server.app import make_served  # heavy
 
         config = load_config(arguments.file)
         if not config.robots:

@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING
 
 from rn_standard.console.client import hush_unlisted_tools, leaves_of, spawned_server
 from roboneuron import ConfigurationError
-from roboneuron.cli import terminal
-from roboneuron.ros import environment
+from roboneuron.command import environment, terminal
 
 if TYPE_CHECKING:
     from mcp import Client

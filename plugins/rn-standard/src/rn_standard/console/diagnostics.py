@@ -18,7 +18,14 @@ from typing import TYPE_CHECKING, get_args
 
 from rn_standard.console.log_runs import log_runs
 from rn_standard.console.status import ReportedModule, ServerStatus
-from roboneuron.command import Health, ModuleKind, ModuleView, Report, estop, reading
+from roboneuron.command import (
+    Health,
+    ModuleKind,
+    ModuleView,
+    Report,
+    estop,
+    reading,
+)
 
 if TYPE_CHECKING:
     from diagnostic_msgs.msg import DiagnosticArray

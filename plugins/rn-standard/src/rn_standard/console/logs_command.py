@@ -50,9 +50,16 @@ class Logs:
         from rn_standard.console.log_reading import LogView, choose_run
         from rn_standard.console.log_runs import log_runs
         from rn_standard.console.table import make_console
-        from roboneuron.cli import terminal
+        from roboneuron.command import environment
 
-        directory = terminal.chosen_state_directory(arguments)
+        configured = None
+        if arguments.config is not None:
+            from roboneuron.command import load_config
+
+            configured = load_config(arguments.config).supervisor.state_directory
+        directory = environment.state_directory(
+            str(arguments.state) if arguments.state else configured
+        )
         if arguments.runs:
             for run in log_runs(directory):
                 print(f"{run.path.name}  {', '.join(run.files()) or 'empty'}")

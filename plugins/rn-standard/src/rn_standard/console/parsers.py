@@ -10,9 +10,13 @@ from pathlib import Path
 import shtab
 
 from roboneuron import RoboNeuronError
-from roboneuron.cli import terminal
-from roboneuron.cli.main import all_commands, load_command, spoken
-from roboneuron.command import discover
+from roboneuron.command import (
+    all_commands,
+    discover,
+    load_command,
+    spoken,
+    terminal,
+)
 
 log = logging.getLogger(__name__)
 _FOLDERS = ("DIRECTORY", "FOLDER")

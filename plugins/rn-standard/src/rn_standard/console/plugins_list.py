@@ -11,9 +11,15 @@ from collections.abc import Sequence
 
 from rn_standard.console.chosen_plugins import add_config, read_disabled
 from roboneuron import CONTRACT_VERSION, __version__, foreign, install_command
-from roboneuron.cli.main import spoken
-from roboneuron.command import Offer, PluginRecord, Registry, Status, discover
-from roboneuron.plugins import availability
+from roboneuron.command import (
+    Offer,
+    PluginRecord,
+    Registry,
+    Status,
+    availability,
+    discover,
+    spoken,
+)
 
 SCHEMA_VERSION = 1
 MOST_OF_REASON = 2000

@@ -53,8 +53,10 @@ def _listing(arguments: Namespace) -> list[Tool]:
         import anyio  # heavy
 
         return anyio.run(_ask, arguments)
-    from roboneuron.command import load_config
-    from roboneuron.server.app import make_served  # heavy
+    from roboneuron.command import (
+        load_config,
+        make_served,  # heavy
+    )
 
     served = make_served(load_config(arguments.config))
     try:

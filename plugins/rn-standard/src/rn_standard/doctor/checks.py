@@ -27,9 +27,18 @@ from rn_standard.doctor.finding import (
 from rn_standard.doctor.images import measure_image_transport
 from rn_standard.ops.maintenance import MaintenanceFile
 from roboneuron import RoboNeuronError, RobotSpec, install_command
-from roboneuron.cli.main import all_commands, load_command, spoken
-from roboneuron.command import Config, Registry, Status, discover, environment, estop
-from roboneuron.plugins import availability
+from roboneuron.command import (
+    Config,
+    Registry,
+    Status,
+    all_commands,
+    availability,
+    discover,
+    environment,
+    estop,
+    load_command,
+    spoken,
+)
 
 MIN_SHARED_MEMORY_MIB = 256
 """Required shared memory: a segment of 32 MiB for each of the five processes, and as much again for
@@ -234,7 +243,7 @@ def _plugins(config: Config) -> Finding:
 
 
 def _configuration(config: Config) -> Finding:
-    from roboneuron.planning import check_configuration  # pydantic and plugins' options, not mcp
+    from roboneuron.command import check_configuration  # pydantic and plugins' options, not mcp
 
     registry = discover(config.disabled_plugins)
     check_configuration(config, registry)

@@ -105,8 +105,7 @@ def send_images(topic: str) -> int:
     environment.prepare_environment()
     from sensor_msgs.msg import Image
 
-    from roboneuron.command import RosLink
-    from roboneuron.ros import messages
+    from roboneuron.command import RosLink, messages
 
     link = RosLink(f"roboneuron_doctor_sender_{os.getpid()}")
     link.open()

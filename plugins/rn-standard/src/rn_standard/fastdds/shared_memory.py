@@ -18,7 +18,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from rn_standard.fastdds.segments import LOCK_SUFFIX, PREFIX, SHARED_MEMORY
-from roboneuron import log_files
+from roboneuron.feature import log_files
 
 log = logging.getLogger(__name__)
 _NAME = re.compile(r"^fastrtps_[A-Za-z0-9]+$", re.MULTILINE)

@@ -8,8 +8,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
-from roboneuron.feature import Config, ModuleKind
-from roboneuron.supervisor.connection import Connection
+from roboneuron.feature import Config, Connection, ModuleKind
 
 if TYPE_CHECKING:
     from diagnostic_msgs.msg import DiagnosticArray

@@ -18,19 +18,18 @@ from typing import TYPE_CHECKING
 from rn_standard.fleet.connection import PARTICIPANTS, SharedConnection, participants_of
 from rn_standard.fleet.fleet_tools import emergency_stop_tool, list_fleet_tool, stop_motion_tool
 from rn_standard.fleet.tools import FleetTools
-from roboneuron import (
-    ConfigurationError,
-    Resource,
-    RoboNeuronError,
-    Tool,
-    Transport,
-    UnsafeError,
+from roboneuron import ConfigurationError, Resource, RoboNeuronError, Tool, Transport, UnsafeError
+from roboneuron.feature import (
+    Application,
+    Config,
+    Events,
+    Periodic,
+    Registry,
+    estop,
     log_files,
+    make_server,
+    reading,
 )
-from roboneuron.config import reading
-from roboneuron.feature import Application, Config, Periodic, Registry, estop
-from roboneuron.server.host import Events
-from roboneuron.server.surface import make_server
 
 if TYPE_CHECKING:
     from roboneuron.feature import Application

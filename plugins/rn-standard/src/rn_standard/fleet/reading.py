@@ -7,8 +7,7 @@ from collections import Counter
 from collections.abc import Mapping
 
 from roboneuron import ConfigurationError, FeatureSpec, RobotSpec
-from roboneuron.config import reading
-from roboneuron.feature import Config, Registry
+from roboneuron.feature import Config, Registry, reading
 
 
 def read_robots(raw: Mapping[str, object], source: str, registry: Registry) -> Config:

@@ -12,8 +12,7 @@ from mcp import types
 from rn_standard.fleet.schemas import merged_tool
 from rn_standard.fleet.search import CALL, CallRobotTool, search_tools
 from roboneuron import CallContext, InvalidInputError, RoboNeuronError, Tool, nearest
-from roboneuron.feature import Role, Stage
-from roboneuron.server.registry import ToolRegistry
+from roboneuron.feature import Role, Stage, ToolRegistry
 
 if TYPE_CHECKING:
     from roboneuron.feature import Application

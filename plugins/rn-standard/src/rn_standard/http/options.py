@@ -7,8 +7,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field
 
 from roboneuron import Section
-from roboneuron.config import models
-from roboneuron.feature import Config
+from roboneuron.feature import Config, models
 
 
 class TokenConfig(Section):

@@ -30,8 +30,7 @@ from rn_standard.http.sessions import (
 )
 from rn_standard.http.tokens import TokenTable, shown_holder
 from roboneuron import __version__
-from roboneuron.feature import Holder
-from roboneuron.server.host import Events
+from roboneuron.feature import Events, Holder
 
 log = logging.getLogger(__name__)
 PATH = "/mcp"

@@ -14,9 +14,16 @@ from rn_standard.ops.records import Source, log_resource, record_tools
 from rn_standard.ops.restarts import Restarts
 from rn_standard.ops.server_log import ServerLog
 from roboneuron import Feature, Host, Resource, Tool
-from roboneuron.feature import EXPLANATIONS, FAULTS, Health, ModuleKind, ModuleView, Periodic
-from roboneuron.modules import settings
-from roboneuron.server.loop import ClosedLoop
+from roboneuron.feature import (
+    EXPLANATIONS,
+    FAULTS,
+    ClosedLoop,
+    Health,
+    ModuleKind,
+    ModuleView,
+    Periodic,
+    settings,
+)
 from roboneuron.tools.loop.results import ModuleStatus
 
 _LOOK_S = 0.1

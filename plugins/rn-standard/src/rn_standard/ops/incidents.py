@@ -15,7 +15,8 @@ from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
-from roboneuron import ForeignDataError, foreign, log_files
+from roboneuron import ForeignDataError, foreign
+from roboneuron.feature import log_files
 
 log = logging.getLogger(__name__)
 FOLDER = "incidents"

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 from argparse import ArgumentParser, Namespace
-
-from roboneuron.cli import terminal
+from pathlib import Path
 
 
 class Maintenance:
@@ -17,7 +17,18 @@ class Maintenance:
 
     def configure(self, parser: ArgumentParser) -> None:
         """Add the arguments of `roboneuron maintenance`."""
-        terminal.add_state_options(parser, "one of several robots")
+        parser.add_argument(
+            "--config",
+            type=Path,
+            metavar="FILE",
+            help="a roboneuron.toml that names the state directory",
+        )
+        parser.add_argument(
+            "--state", type=Path, metavar="DIRECTORY", help="the state directory itself"
+        )
+        parser.add_argument(
+            "--robot", metavar="NAME", help="one of several robots; all of them without it"
+        )
         action = parser.add_mutually_exclusive_group()
         action.add_argument("--begin", metavar="WHY", help="take it out of service")
         action.add_argument(
@@ -31,17 +42,25 @@ class Maintenance:
             RefusedError: there is no terminal for --end, or neither file nor audit can be written.
         """
         from rn_standard.ops.maintenance import MaintenanceFile
-        from roboneuron.command import AuditLog, Role, estop
-        from roboneuron.config import reading
+        from roboneuron import RefusedError
+        from roboneuron.command import AuditLog, Role, environment, estop, reading, terminal
 
-        directory = terminal.chosen_state_directory(arguments)
+        configured = reading.read_state_directory(arguments.config) if arguments.config else None
+        directory = environment.state_directory(
+            str(arguments.state) if arguments.state else configured
+        )
         of_robots = reading.robot_folder(directory).parent
         folders = sorted(of_robots.glob("*")) or [directory]
         if arguments.robot:
             folders = [of_robots / arguments.robot]
         who, status = AuditLog.user_at_terminal(), 0
-        if arguments.end:
-            terminal.check_terminal("put the robot back in service")
+        if arguments.end and not sys.stdin.isatty():
+            raise RefusedError(
+                "Only a person in a terminal can put the robot back in service, and this is no "
+                "terminal.",
+                hint="Run the same command in a terminal (over ssh: `ssh -t`).",
+                rule="person",
+            )
         for folder in folders:
             file, audit = MaintenanceFile(folder), AuditLog.in_directory(folder)
             latch = estop.EmergencyStopLatch.in_directory(folder)

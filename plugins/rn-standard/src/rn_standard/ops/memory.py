@@ -11,8 +11,7 @@ from pathlib import Path
 from weakref import WeakSet
 
 from rn_standard.ops.options import MemoryOptions
-from roboneuron.feature import ModuleKind, Periodic
-from roboneuron.supervisor.health import Modules
+from roboneuron.feature import ModuleKind, Modules, Periodic
 
 log = logging.getLogger(__name__)
 _LOOK_S = 0.05

@@ -9,7 +9,7 @@ import os
 from contextlib import suppress
 from pathlib import Path
 
-from roboneuron import log_files
+from roboneuron.feature import log_files
 
 FOLDER = "servers"
 """Folder in the state directory with an empty file for each server, named by its process id and

@@ -11,9 +11,8 @@ from pydantic import Field
 
 from rn_standard.ops.incidents import FaultSpans, Incidents
 from rn_standard.ops.server_log import FILE_NAME
-from roboneuron import Arguments, CallContext, InvalidInputError, Resource, Result, Tool, log_files
-from roboneuron.feature import ModuleKind
-from roboneuron.supervisor.health import Modules
+from roboneuron import Arguments, CallContext, InvalidInputError, Resource, Result, Tool
+from roboneuron.feature import ModuleKind, Modules, log_files
 
 Level = Literal["debug", "info", "warning", "error"]
 Source = Literal["robot", "perception", "inference", "control", "server"]

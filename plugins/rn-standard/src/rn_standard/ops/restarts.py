@@ -13,8 +13,13 @@ from pathlib import Path
 
 from rn_standard.ops.options import OpsOptions
 from roboneuron import RoboNeuronError
-from roboneuron.feature import Config, Health, ModuleKind, ModuleView
-from roboneuron.server.loop import ClosedLoop
+from roboneuron.feature import (
+    ClosedLoop,
+    Config,
+    Health,
+    ModuleKind,
+    ModuleView,
+)
 
 OVERLOADED = 2.0
 """Runnable tasks per core from which a module may be late without a fault: it gets half a core."""

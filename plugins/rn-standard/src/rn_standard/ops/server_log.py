@@ -9,7 +9,7 @@ from io import TextIOWrapper
 from logging.handlers import RotatingFileHandler
 from pathlib import Path
 
-from roboneuron import log_files
+from roboneuron.feature import log_files
 
 log = logging.getLogger(__name__)
 FILE_NAME = "server.log"

@@ -9,8 +9,16 @@ import numpy as np
 
 from rn_standard.simulate.results import Survey
 from rn_standard.simulate.twin import Twin
-from roboneuron import F64, Controller, ControlSpace, JointCommand, JointSample, Pose, RobotProfile
-from roboneuron.gate.motion.limiter import MotionLimiter
+from roboneuron import (
+    F64,
+    Controller,
+    ControlSpace,
+    JointCommand,
+    JointSample,
+    Pose,
+    RobotProfile,
+)
+from roboneuron.feature import MotionLimiter
 from roboneuron.gate.motion.path_limits import Leg
 from roboneuron.tools.arm.prediction import answer_to
 

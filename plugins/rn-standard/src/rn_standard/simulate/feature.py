@@ -34,9 +34,7 @@ from roboneuron import (
     RobotProfile,
     Tool,
 )
-from roboneuron.feature import AuditRecord, Role, Simulator
-from roboneuron.gate.motion.limiter import MotionLimiter
-from roboneuron.server.schema import Shape
+from roboneuron.feature import AuditRecord, MotionLimiter, Role, Shape, Simulator
 from roboneuron.tools.arm.ee_move import MoveEndEffector
 from roboneuron.tools.arm.picking import PickArguments
 from roboneuron.tools.arm.place_plans import PlaceArguments

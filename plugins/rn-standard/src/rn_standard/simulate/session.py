@@ -28,11 +28,9 @@ from roboneuron import (
     matrix_from_quaternion,
 )
 from roboneuron.direct_path.joint_messages import joint_commands
-from roboneuron.feature import ExposedEndpoint, MotionRules, Stage
-from roboneuron.gate.motion import joint_space
+from roboneuron.feature import ExposedEndpoint, MotionRules, Stage, inspector_of, joint_space
 from roboneuron.gate.motion.joint_paths import check_joints
 from roboneuron.gate.motion.path_limits import PathLimiter
-from roboneuron.gate.motion.rules import inspector_of
 from roboneuron.modules.arm_paths import ArmPaths
 from roboneuron.sight.looker import looker_of
 from roboneuron.tools.arm.ee_move import MoveEndEffector

@@ -42,9 +42,8 @@ from roboneuron import (
     StateError,
     Tool,
 )
-from roboneuron.feature import Stage, build
+from roboneuron.feature import Stage, build, loading
 from roboneuron.modules.inference.instruction_text import InstructionText
-from roboneuron.plugins import loading
 from roboneuron.selection.restricted import restricted_values
 from roboneuron.tools.arm.displacement import SceneWatch
 from roboneuron.tools.arm.grip import check_gripper

@@ -9,10 +9,15 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 from roboneuron import Arguments, NotReadyError, RoboNeuronError, StateError
-from roboneuron.feature import ModuleKind, ModuleView, Plan, Stage
+from roboneuron.feature import (
+    ClosedLoop,
+    ModuleKind,
+    Modules,
+    ModuleView,
+    Plan,
+    Stage,
+)
 from roboneuron.selection.requests import StartChosenInference
-from roboneuron.server.loop import ClosedLoop
-from roboneuron.supervisor.health import Modules
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

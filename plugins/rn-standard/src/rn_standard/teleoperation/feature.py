@@ -14,10 +14,17 @@ from rn_standard.teleoperation.rows import Acting
 from rn_standard.teleoperation.samples import Teleoperator
 from rn_standard.teleoperation.session import LeadSession, LeadSpeeds
 from rn_standard.teleoperation.tools import LeadArm, LeadResult, lead_tools
-from roboneuron import CallContext, Feature, Host, InvalidInputError, RobotProfile, StateError, Tool
+from roboneuron import (
+    CallContext,
+    Feature,
+    Host,
+    InvalidInputError,
+    RobotProfile,
+    StateError,
+    Tool,
+)
 from roboneuron.direct_path.exposed import ACTING_TOPIC, LEAD_LABEL
-from roboneuron.feature import StillReason, build, load_profile
-from roboneuron.modules import settings
+from roboneuron.feature import StillReason, build, load_profile, settings
 
 if TYPE_CHECKING:
     from std_msgs.msg import Float64MultiArray

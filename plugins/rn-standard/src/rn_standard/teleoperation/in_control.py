@@ -32,8 +32,7 @@ from roboneuron import (
     matrix_from_quaternion,
 )
 from roboneuron.direct_path.exposed import ACTING_TOPIC, LEAD_TOPIC
-from roboneuron.feature import LimitedCommand, Module, ModuleHost
-from roboneuron.gate.motion.command import Asked
+from roboneuron.feature import Asked, LimitedCommand, Module, ModuleHost
 from roboneuron.modules.control.module import ControlModule
 from roboneuron.modules.step_filters import ActionStep, StepFilter
 

@@ -21,6 +21,9 @@ from roboneuron.gate.motion import task_space
 from roboneuron.gate.motion.path import Reach, postures
 from roboneuron.gate.motion.rules import MotionRules
 
+__all__ = ["Leg", "PathLimiter"]
+"""Names that other distributions may use."""
+
 MAX_POSTURES = 20_000
 """Longest path [postures]; checking a longer one would take seconds."""
 _SLACK = 1e-6

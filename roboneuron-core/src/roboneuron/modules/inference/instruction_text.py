@@ -9,6 +9,9 @@ from pydantic import AfterValidator, Field
 
 from roboneuron.errors import InvalidInputError
 
+__all__ = ["InstructionText"]
+"""Names that other distributions may use."""
+
 MAX_INSTRUCTION_LENGTH = 1000
 """Maximum length [characters]: models read a few dozen words, and the status repeats it five times
 a second.

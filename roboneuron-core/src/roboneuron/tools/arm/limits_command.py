@@ -5,10 +5,10 @@ terminal.
 from __future__ import annotations
 
 import json
+import sys
 import time
 from argparse import ArgumentParser, Namespace
-
-from roboneuron.cli import terminal
+from pathlib import Path
 
 
 class Limits:
@@ -16,7 +16,18 @@ class Limits:
 
     def configure(self, parser: ArgumentParser) -> None:
         """Add the arguments of `roboneuron limits`."""
-        terminal.add_state_options(parser, "one of several robots")
+        parser.add_argument(
+            "--config",
+            type=Path,
+            metavar="FILE",
+            help="a roboneuron.toml that names the state directory",
+        )
+        parser.add_argument(
+            "--state", type=Path, metavar="DIRECTORY", help="the state directory itself"
+        )
+        parser.add_argument(
+            "--robot", metavar="NAME", help="one of several robots; all of them without it"
+        )
         parser.add_argument(
             "--loosen", action="store_true", help="return to the configured limits; asks for a yes"
         )
@@ -26,9 +37,13 @@ class Limits:
         from roboneuron import foreign
         from roboneuron.config import reading
         from roboneuron.errors import ConfigurationError
+        from roboneuron.ros import environment
         from roboneuron.tools.arm.tightening import FILE_NAME, TighteningFile
 
-        directory = terminal.chosen_state_directory(arguments)
+        configured = reading.read_state_directory(arguments.config) if arguments.config else None
+        directory = environment.state_directory(
+            str(arguments.state) if arguments.state else configured
+        )
         of_robots = reading.robot_folder(directory).parent
         folders = (
             [of_robots / arguments.robot]
@@ -63,12 +78,19 @@ def _loosen(file: object) -> int:
     Raises:
         RefusedError: there is no terminal, or neither file nor audit can be written.
     """
+    from roboneuron.cli import terminal
+    from roboneuron.errors import RefusedError
     from roboneuron.gate.audit import AuditLog, AuditRecord
     from roboneuron.gate.roles import Role
     from roboneuron.tools.arm.tightening import TightenedRecord, Tightening, TighteningFile
 
     assert isinstance(file, TighteningFile)
-    terminal.check_terminal("loosen limits")
+    if not sys.stdin.isatty():
+        raise RefusedError(
+            "Only a person in a terminal can loosen limits, and this is no terminal.",
+            hint="Run the same command in a terminal (over ssh: `ssh -t`).",
+            rule="person",
+        )
     if not terminal.is_agreed("Return to the configured limits?"):
         print("They stay.")
         return 1

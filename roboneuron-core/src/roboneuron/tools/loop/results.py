@@ -15,7 +15,7 @@ from roboneuron.server.tool import Result
 from roboneuron.supervisor.health import EXPLANATIONS, Health, ModuleView
 from roboneuron.supervisor.slot import Phase
 
-__all__ = ["ModuleStatus"]
+__all__ = ["ModuleStatus", "ModuleSummary"]
 """Names that other distributions may use."""
 
 STALE_S = 1.0

@@ -15,12 +15,20 @@ from roboneuron.direct_path.exposed import gate_request
 from roboneuron.errors import InvalidInputError
 from roboneuron.server.motion_gate import ExposedEndpoint, MotionGate, Sent
 from roboneuron.server.tool import CallContext, Result
-from roboneuron.tools.ros.calls import Judged, PublishingCall, Value, verdict_fields
+from roboneuron.tools.ros.calls import (
+    Judged,
+    PublishingCall,
+    Value,
+    verdict_fields,
+)
 from roboneuron.tools.ros.calls import duration_s as trajectory_s
 from roboneuron.tools.ros.exposed_types import message_of
 from roboneuron.tools.ros.interfaces import MessageInterface
 from roboneuron.tools.ros.steps import MessageStep, publish_steps
 from roboneuron.tools.ros.targets import Targets
+
+__all__ = ["Publish", "Publishing", "encode_step"]
+"""Names that other distributions may use."""
 
 
 class ClampedValue(Result):
