@@ -127,7 +127,7 @@ def served_options(
     layout = served_layout(model.interface, spec, space)
     summary = f"backend {spec.name}, profile {layout.name}, {layout.rows.space.kind}"
     listen = ListenOptions(
-        host=server.host,
+        host=server.host or "127.0.0.1",
         port=server.port,
         keys="none" if server.token_file is None else "token",
         token_file=server.token_file,

@@ -171,8 +171,9 @@ class ServerOptions(OptionSection):
     `roboneuron serve-policy` have them.
     """
 
-    host: Annotated[str, ConfigurationOnly()] = Field(
-        default="127.0.0.1", min_length=1, description="address to listen on"
+    # no default address: an agent that chose this backend would otherwise be refused because of it
+    host: Annotated[str | None, ConfigurationOnly()] = Field(
+        default=None, min_length=1, description="address to listen on; 127.0.0.1 if unset"
     )
     port: int = Field(default=8000, ge=0, le=65535, description="port; 0 for any free one")
     token_file: Annotated[Path | None, ConfigurationOnly()] = Field(
