@@ -200,7 +200,7 @@ def show_kills(
         end.wait(10.0)
         end.set()
         for one in driving:
-            one.result()
+            one.result(timeout=60.0)
     missed = sum(
         max(0, int((gap_s - ROWS * STEP_S) / STEP_S)) for robot in gaps_s for gap_s in robot
     )
