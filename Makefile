@@ -22,7 +22,8 @@ DEMO_PACKAGES := $(shell sed -n 's|^\./||p' requirements.txt)
 FLEET_PACKAGES := plugins/rn-robot-bases
 SO101_PACKAGES := plugins/rn-robot-lerobot
 LEARNED_PACKAGES := plugins/rn-vla plugins/rn-runtime-torch plugins/rn-backend-oft plugins/rn-policy-cubes
-ALL_PACKAGES := roboneuron-core $(sort $(wildcard plugins/rn-*)) .
+# A folder that a package has left behind holds no project.
+ALL_PACKAGES := roboneuron-core $(sort $(patsubst %/pyproject.toml,%,$(wildcard plugins/rn-*/pyproject.toml))) .
 # It compiles ROS 2 types and needs a C++ compiler; without one the rest works, and its tests are skipped.
 COMPILED := plugins/rn-driver-ros2control
 comma := ,

@@ -48,7 +48,7 @@ neither.
 def packages() -> list[Path]:
     """Folders of the distributions with code."""
     found = [ROOT / "roboneuron-core", *sorted((ROOT / "plugins").iterdir())]
-    return [one for one in found if (one / "src").is_dir()]
+    return [one for one in found if (one / "src").is_dir() and (one / "pyproject.toml").exists()]
 
 
 def modules(package: Path) -> tuple[str, ...]:
