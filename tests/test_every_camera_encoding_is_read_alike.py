@@ -27,15 +27,16 @@ from sensor_msgs.msg import CompressedImage, Image
 
 from rn_backend_openpi.images import decode_image
 from rn_eval.wire import unpack
-from rn_perception_camera.ros_feed import decompress, to_rgb
 from rn_recorder_runs.images import pixels_of
-from roboneuron import InvalidInputError, frame_from_compressed
-from roboneuron.sight.inputs import frame_of
+from roboneuron import CameraProfile, InvalidInputError, frame_from_compressed, image_from_message
+from roboneuron.modules.inference.inputs import CalibratedCamera
+from roboneuron.ros.messages import frame_from_message
 from roboneuron.tools.inspect.camera import encode
 from roboneuron.tools.ros.interfaces.picture import to_picture
 
 U8 = NDArray[np.uint8]
 WIDTH, HEIGHT = 8, 6
+FRONT = CameraProfile(name="front", role="primary", frame_id="front", width=WIDTH, height=HEIGHT)
 Pixel = Callable[[U8, int, int], tuple[float, float, float]]
 """RGB of the pixel at row and column, from the rows of bytes; the plain formula."""
 
@@ -153,8 +154,12 @@ def opened(data: bytes) -> U8:
     return np.asarray(Pillow.open(io.BytesIO(data)).convert("RGB"))
 
 
+def inferred(message: Image) -> U8:
+    return CalibratedCamera(FRONT).to_frame(message).image
+
+
 def shown(message: Image) -> U8:
-    return opened(encode(frame_of(message, "front"), "png").data)
+    return opened(encode(frame_from_message(message, "front"), "png").data)
 
 
 def exported(message: Image) -> U8:
@@ -162,7 +167,8 @@ def exported(message: Image) -> U8:
 
 
 EXACT: dict[str, Callable[[Image], U8]] = {
-    "policy": to_rgb,
+    "source": image_from_message,
+    "inference": inferred,
     "get_camera_image": shown,
     "export": exported,
 }
@@ -219,7 +225,7 @@ def test_what_is_no_picture_is_refused_by_its_name(reader: str) -> None:
 
 def _error(message: Image) -> InvalidInputError:
     with pytest.raises(InvalidInputError) as caught:
-        to_rgb(message)
+        image_from_message(message)
     return caught.value
 
 
@@ -244,7 +250,7 @@ def test_sizes_that_do_not_fit_are_refused(name: str, reader: str) -> None:
 @pytest.mark.parametrize("name", PICTURES)
 def test_the_last_row_may_lack_its_padding(name: str) -> None:
     message, rows = picture(name, padding=4, cut=4)
-    found = to_rgb(message).astype(float)
+    found = image_from_message(message).astype(float)
     assert np.abs(found - expected(name, rows)).max() <= PICTURES[name][3]
 
 
@@ -287,7 +293,7 @@ def evaluated(message: CompressedImage) -> U8:
 
 
 FILES: dict[str, Callable[[CompressedImage], U8]] = {
-    "policy": decompress,
+    "policy": lambda message: frame_from_compressed(message.data, message.format),
     "read tool": lambda message: opened(to_picture(message, longest_side_px=640).data),
     "export": lambda message: pixels_of(message, "sensor_msgs/msg/CompressedImage"),
     "policy server": coded,

@@ -71,6 +71,7 @@ from .contract import (
     check_rgb8 as check_rgb8,
     depth_from_message as depth_from_message,
     frame_from_buffer as frame_from_buffer,
+    image_from_message as image_from_message,
     joint_kinds as joint_kinds,
     mesh_file as mesh_file,
     robot_space as robot_space,

@@ -20,8 +20,9 @@ GROUPS: Mapping[str, frozenset[str]] = {
         "log_files": "begin_logging opener",
         "messages": "intrinsics_from_camera_info joints_from_message to_image",
         "qos": "requested_qos",
-        "reading": "default_text read_state_directory robot_folder",
+        "reading": "default_text robot_folder",
         "settings": "EMERGENCY_STOP_TOPIC HOLD_DURATION_S",
+        "state_folder": "add_arguments folders_of state_directory_of",
         "terminal": "add_verbosity is_agreed log_level",
         "topics": "ACTION DIAGNOSTICS JOINT_STATES",
     }.items()

@@ -11,6 +11,7 @@ from . import (
     log_files as log_files,
 )
 from .cli import (
+    state_folder as state_folder,
     terminal as terminal,
 )
 from .config import (

@@ -26,11 +26,10 @@ from roboneuron.contract import (
 from roboneuron.errors import InvalidInputError
 from roboneuron.modules.inference.inputs import (
     CalibratedCamera,
-    frame_from_message,
-    pose_from_message,
 )
 from roboneuron.modules.perception.module import to_camera_info
 from roboneuron.ros import messages
+from roboneuron.ros.messages import frame_from_message, pose_from_message
 
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
 STAMP_NS = 1_700_000_000_123_456_789

@@ -28,7 +28,7 @@ from roboneuron import (
     RefusedError,
     StateError,
     UnsafeError,
-    frame_from_buffer,
+    image_from_message,
 )
 from roboneuron.command import Report, RosLink, messages, settings, topics
 
@@ -137,15 +137,7 @@ class RobotTopics:
             )
         message = arrived.message
         assert isinstance(message, Image)
-        return np.array(
-            frame_from_buffer(
-                message.data,
-                width=message.width,
-                height=message.height,
-                step=message.step,
-                encoding=message.encoding,
-            )
-        )
+        return np.array(image_from_message(message))
 
     def send(self, row: F64, answer_timeout_s: float) -> dict[str, float] | None:
         """Send one action; returns the positions by joint that control commanded for it.

@@ -24,37 +24,9 @@ from roboneuron import (
     InvalidInputError,
     Topics,
     depth_from_message,
-    frame_from_buffer,
     frame_from_compressed,
+    image_from_message,
 )
-
-if TYPE_CHECKING:
-    from sensor_msgs.msg import CompressedImage, Image
-
-
-def to_rgb(message: Image) -> U8:
-    """sensor_msgs/Image -> uint8 (H, W, 3) RGB; `rgb8` without row padding shares the message's
-    memory.
-
-    Raises as `frame_from_buffer`.
-    """
-    return frame_from_buffer(
-        message.data,
-        width=message.width,
-        height=message.height,
-        step=message.step,
-        encoding=message.encoding,
-        is_bigendian=bool(message.is_bigendian),
-    )
-
-
-def decompress(message: CompressedImage) -> U8:
-    """sensor_msgs/CompressedImage (JPEG or PNG) -> uint8 (H, W, 3) RGB.
-
-    Raises as `frame_from_compressed`.
-    """
-    return frame_from_compressed(message.data, message.format)
-
 
 if TYPE_CHECKING:
     from sensor_msgs.msg import CameraInfo, CompressedImage, Image
@@ -303,7 +275,9 @@ class CameraFeed:
 
     def _convert(self, message: Image | CompressedImage) -> U8:
         try:
-            return to_rgb(message) if self._options.transport == "raw" else decompress(message)
+            if self._options.transport == "raw":
+                return image_from_message(message)
+            return frame_from_compressed(message.data, message.format)
         except InvalidInputError as error:
             raise InvalidInputError(
                 f"An image of camera {self._profile.name!r} on topic {self._options.topic!r} "

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from roboneuron import InvalidInputError, frame_from_buffer, frame_from_compressed
+from roboneuron import InvalidInputError, frame_from_compressed, image_from_message
 
 IMAGE = "sensor_msgs/msg/Image"
 COMPRESSED = "sensor_msgs/msg/CompressedImage"
@@ -133,11 +133,4 @@ def pixels_of(message: object, type_name: str) -> NDArray[np.uint8]:
         return frame_from_compressed(image.data, image.format)
     if type_name != IMAGE:
         raise InvalidInputError(f"{type_name} is no image.")
-    return frame_from_buffer(
-        image.data,
-        width=image.width,
-        height=image.height,
-        step=image.step,
-        encoding=image.encoding,
-        is_bigendian=bool(image.is_bigendian),
-    )
+    return image_from_message(image)

@@ -1,4 +1,4 @@
-"""`estop` and `config check` with several robots; no server runs."""
+"""Commands about several robots; no server runs."""
 
 from __future__ import annotations
 
@@ -8,6 +8,12 @@ import pytest
 
 from roboneuron.cli.main import main
 from roboneuron.estop import ESTOP_FILE
+from roboneuron.tools.arm.tightening import (
+    FILE_NAME,
+    TightenedRecord,
+    Tightening,
+    TighteningFile,
+)
 
 
 @pytest.fixture
@@ -39,6 +45,32 @@ def test_a_stop_of_one_robot_in_a_terminal_leaves_the_others(
     assert main(["estop", "--state", str(state), "--robot", "right", "--status"]) == 0
     assert main(["estop", "--state", str(state), "--robot", "middle"]) == 2
     assert "there are: left, right" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "words",
+    [("estop",), ("maintenance", "--begin", "repair"), ("maintenance",), ("limits",)],
+    ids=" ".join,
+)
+def test_a_robot_that_does_not_exist_is_named_and_nothing_is_written(
+    words: tuple[str, ...], state: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = sorted(state.rglob("*"))
+    assert main([*words, "--state", str(state), "--robot", "lfet"]) == 2
+    assert "there are: left, right" in capsys.readouterr().err
+    assert sorted(state.rglob("*")) == before
+
+
+def test_limits_of_a_robot_that_cannot_be_read_hide_no_others(
+    state: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    tightened = TightenedRecord(tightening=Tightening(max_speed_m_s=0.1), who="agent", at_ns=1)
+    TighteningFile(state / "robots" / "right" / FILE_NAME).write(tightened)
+    (state / "robots" / "left" / FILE_NAME).write_text("{")
+    assert main(["limits", "--state", str(state)]) == 1
+    shown = capsys.readouterr().out
+    assert str(state / "robots" / "left") in shown
+    assert '{"max_speed_m_s": 0.1}, by agent' in shown
 
 
 def test_a_latch_that_cannot_be_written_keeps_no_other_from_being_pressed(state: Path) -> None:

@@ -16,6 +16,7 @@ from .image import (
     check_rgb8 as check_rgb8,
     depth_from_message as depth_from_message,
     frame_from_buffer as frame_from_buffer,
+    image_from_message as image_from_message,
 )
 from .joints import (
     MimicJoint as MimicJoint,

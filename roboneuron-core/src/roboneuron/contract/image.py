@@ -78,32 +78,44 @@ def frame_from_buffer(
     return np.ascontiguousarray(layout.convert(pixels, height))
 
 
-def measure_from_buffer(
-    data: Any, *, width: int, height: int, step: int, encoding: str, is_bigendian: bool = False
-) -> NDArray[Any]:
-    """Return the numbers (H, W) of one channel held in an image message's buffer; a view on it
-    without row padding.
-
-    Args:
-        data, width, height, step, is_bigendian: as in `frame_from_buffer`.
-        encoding: a key of `MEASURE_ENCODINGS`, or `mono16`.
+def image_from_message(message: Any) -> U8:
+    """Return the RGB image (H, W, 3) of a `sensor_msgs/Image`, in the byte order that it names.
 
     Raises:
-        InvalidInputError: another encoding, or a buffer that does not hold the rows.
+        InvalidInputError: as `frame_from_buffer`.
     """
-    code = _ONE_CHANNEL.get(encoding)
+    return frame_from_buffer(
+        message.data,
+        width=message.width,
+        height=message.height,
+        step=message.step,
+        encoding=message.encoding,
+        is_bigendian=bool(message.is_bigendian),
+    )
+
+
+def measure_from_message(message: Any) -> NDArray[Any]:
+    """Return the numbers (H, W) of a `sensor_msgs/Image` of one channel; a view on its buffer
+    without row padding.
+
+    Raises:
+        InvalidInputError: its encoding is neither a key of `MEASURE_ENCODINGS` nor `mono16`, or its
+            buffer does not hold the rows.
+    """
+    code = _ONE_CHANNEL.get(message.encoding)
     if code is None:
         raise InvalidInputError(
-            f"Image encoding {encoding[:60]!r} is no measure, expected one of "
+            f"Image encoding {message.encoding[:60]!r} is no measure, expected one of "
             f"{', '.join(_ONE_CHANNEL)}."
         )
-    dtype = np.dtype((">" if is_bigendian else "<") + code)
-    raw = np.frombuffer(data, dtype=np.uint8)
+    dtype = np.dtype((">" if message.is_bigendian else "<") + code)
+    raw = np.frombuffer(message.data, dtype=np.uint8)
+    width, height, step = int(message.width), int(message.height), int(message.step)
     row_bytes = width * dtype.itemsize
     if not (height and width) or step < row_bytes or raw.size != step * height:
         raise InvalidInputError(
             f"Image buffer holds {raw.size} bytes with step {step}, expected {height} rows of at "
-            f"least {row_bytes} bytes for {width}x{height} {encoding}."
+            f"least {row_bytes} bytes for {width}x{height} {message.encoding}."
         )
     return np.ascontiguousarray(raw.reshape(height, step)[:, :row_bytes]).view(dtype)
 
@@ -123,15 +135,7 @@ def depth_from_message(message: Any) -> NDArray[np.float32]:
             f"Image encoding {message.encoding[:60]!r} is no depth, expected one of "
             f"{', '.join(_METRES)}."
         )
-    values = measure_from_buffer(
-        message.data,
-        width=message.width,
-        height=message.height,
-        step=message.step,
-        encoding=message.encoding,
-        is_bigendian=bool(message.is_bigendian),
-    )
-    depth_m = values.astype(np.float32) * np.float32(scale)
+    depth_m = measure_from_message(message).astype(np.float32) * np.float32(scale)
     depth_m[~(np.isfinite(depth_m) & (depth_m > 0))] = np.nan
     return depth_m
 

@@ -12,13 +12,12 @@ import time
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
+from roboneuron.cli.state_folder import add_arguments, folders_of, state_directory_of
 from roboneuron.cli.terminal import ask_hidden, is_agreed
-from roboneuron.config import read_state_directory, robot_folder
-from roboneuron.errors import ConfigurationError, RefusedError, RoboNeuronError
+from roboneuron.errors import RefusedError, RoboNeuronError
 from roboneuron.estop.latch import EmergencyStopLatch
 from roboneuron.estop.pin import ReleasePin
 from roboneuron.gate import AuditLog, AuditRecord, Role
-from roboneuron.ros.environment import state_directory
 
 _AGAIN_S = 0.1
 """Time within which a process that keeps the stop on the topic latches it again after a release."""
@@ -26,18 +25,7 @@ _AGAIN_S = 0.1
 
 def configure(parser: ArgumentParser) -> None:
     """Add the arguments of `roboneuron estop`."""
-    parser.add_argument(
-        "--config",
-        type=Path,
-        metavar="FILE",
-        help="a roboneuron.toml that names the state directory",
-    )
-    parser.add_argument(
-        "--state", type=Path, metavar="DIRECTORY", help="the state directory itself"
-    )
-    parser.add_argument(
-        "--robot", metavar="NAME", help="only this one of several robots; all of them without it"
-    )
+    add_arguments(parser)
     parser.add_argument("--reason", default="", help="why; kept in the latch and in the audit")
     action = parser.add_mutually_exclusive_group()
     action.add_argument("--reset", action="store_true", help="release it; look at the robot first")
@@ -60,16 +48,15 @@ def run(arguments: Namespace) -> int:
         ConfigurationError: the robot is unknown, or the file names no state directory.
         RoboNeuronError: one stop could not be latched; the others are.
     """
-    configured = read_state_directory(arguments.config) if arguments.config else None
-    directory = state_directory(str(arguments.state) if arguments.state else configured)
-    _folders(directory, arguments.robot)  # raises for an unknown robot
+    directory = state_directory_of(arguments)
+    folders_of(directory, arguments.robot)  # raises for an unknown robot
     who = AuditLog.user_at_terminal()
     if arguments.set_pin:
         return _set_pin(ReleasePin(directory), AuditLog.in_directory(directory), who)
     done: set[Path] = set()
     status, failure = 0, None
     # repeated, because a server that starts meanwhile creates more folders
-    while folders := _folders(directory, arguments.robot) - done:
+    while folders := set(folders_of(directory, arguments.robot)) - done:
         for folder in sorted(folders):
             latch = EmergencyStopLatch.in_directory(folder)
             audit = AuditLog.in_directory(folder)
@@ -86,23 +73,6 @@ def run(arguments: Namespace) -> int:
     if failure is not None:
         raise failure
     return status
-
-
-def _folders(directory: Path, robot: str | None) -> set[Path]:
-    """Folders of the latches: of one robot, or of the server itself and of all its robots.
-
-    Raises:
-        ConfigurationError: the robot has no folder; a stop without effect must not look like a
-            stop.
-    """
-    of_robots = robot_folder(directory).parent
-    known = {path.name: path for path in sorted(of_robots.glob("*"))}
-    if robot is None:
-        return {directory, *known.values()}
-    if robot not in known:
-        names = ", ".join(known) or "none"
-        raise ConfigurationError(f"There is no robot {robot!r} in {of_robots}; there are: {names}.")
-    return {known[robot]}
 
 
 def _show(latch: EmergencyStopLatch) -> int:

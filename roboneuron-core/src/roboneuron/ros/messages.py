@@ -22,11 +22,13 @@ from roboneuron.contract import (
     F64,
     GREATEST_RATE_HZ,
     STATE_STEP_S,
+    CameraCalibration,
     ControlSpace,
     Frame,
     JointCommand,
     JointSample,
     Pose,
+    image_from_message,
 )
 from roboneuron.errors import InvalidInputError
 
@@ -88,6 +90,32 @@ def to_ns(stamp: Time) -> int:
 def to_image(frame: Frame) -> Image:
     """Frame -> sensor_msgs/Image, rgb8. One copy of the pixels (0.1 ms at 640x480)."""
     return _image(frame, frame.image, "rgb8")
+
+
+def frame_from_message(
+    message: Image, camera: str, calibration: CameraCalibration | None = None
+) -> Frame:
+    """sensor_msgs/Image -> Frame; `rgb8` shares the message's memory.
+
+    Args:
+        camera: the camera's name.
+        calibration: of this camera at this image size.
+
+    Raises:
+        InvalidInputError: unknown encoding, damaged sizes, or an unset stamp.
+    """
+    stamp_ns = to_ns(message.header.stamp)
+    if stamp_ns <= 0:
+        raise InvalidInputError(
+            f"An image of camera {camera!r} carries no capture time in header.stamp."
+        )
+    return Frame(
+        camera=camera,
+        image=image_from_message(message),
+        stamp_ns=stamp_ns,
+        frame_id=message.header.frame_id or camera,
+        calibration=calibration,
+    )
 
 
 def to_depth_image(frame: Frame, depth_m: NDArray[np.float32]) -> Image:
@@ -193,6 +221,18 @@ def joints_from_message(message: JointState) -> JointSample:
         names=names,
         position=np.array(message.position, dtype=np.float64),
         velocity=np.array(message.velocity, dtype=np.float64) if message.velocity else None,
+        stamp_ns=to_ns(message.header.stamp),
+    )
+
+
+def pose_from_message(message: PoseStamped) -> Pose:
+    """geometry_msgs/PoseStamped -> Pose in the message's frame, which is not checked: that of
+    `ee_pose` is the robot's base.
+    """
+    p, q = message.pose.position, message.pose.orientation
+    return Pose(
+        position_m=np.array([p.x, p.y, p.z]),
+        quaternion_xyzw=np.array([q.x, q.y, q.z, q.w]),
         stamp_ns=to_ns(message.header.stamp),
     )
 

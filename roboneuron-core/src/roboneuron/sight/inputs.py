@@ -19,7 +19,6 @@ from roboneuron.contract import (
     Frame,
     Pose,
     RobotProfile,
-    frame_from_buffer,
 )
 from roboneuron.contract.image import depth_from_message
 from roboneuron.direct_path.fields import load_type
@@ -28,7 +27,6 @@ from roboneuron.ros import messages
 from roboneuron.server.host import Host
 
 if TYPE_CHECKING:
-    from builtin_interfaces.msg import Time
     from geometry_msgs.msg import PoseStamped
     from sensor_msgs.msg import CameraInfo, Image
 
@@ -115,16 +113,16 @@ class Inputs:
         message = self.newest(topic, _IMAGE_AGE_S)
         if message is None or self._newest[topic][0] < since_s:
             return None
-        stamp_ns = _stamp_ns(message.header.stamp)
+        stamp_ns = messages.to_ns(message.header.stamp)
         depths = list(self._depths.get(topic, ()))
-        depth = next((one for one in depths if _stamp_ns(one.header.stamp) == stamp_ns), None)
+        depth = next((one for one in depths if messages.to_ns(one.header.stamp) == stamp_ns), None)
         parts = (message, self.last(_info_topic(topic)), depth)
         decoded = self._decoded.get(camera)
         if decoded is not None and all(map(operator.is_, decoded[0], parts)):
             return decoded[1]
         known = profile.camera(camera) if profile is not None else None
         try:
-            frame = frame_of(message, camera)
+            frame = messages.frame_from_message(message, camera)
             if known is not None:
                 frame = replace(frame, calibration=_calibration(known, frame, parts[1]))
         except InvalidInputError as error:
@@ -197,42 +195,11 @@ def why_no_image(host: Host) -> str:
     return "Call start_perception first."
 
 
-def frame_of(message: Image, camera: str) -> Frame:
-    """Frame of an image message. Raises InvalidInputError: it is damaged or no picture."""
-    stamp_ns = _stamp_ns(message.header.stamp)
-    if stamp_ns <= 0:
-        raise InvalidInputError(
-            f"An image of camera {camera!r} carries no capture time in header.stamp."
-        )
-    pixels = frame_from_buffer(
-        message.data,
-        width=message.width,
-        height=message.height,
-        step=message.step,
-        encoding=message.encoding,
-        is_bigendian=bool(message.is_bigendian),
-    )
-    return Frame(
-        camera=camera, image=pixels, stamp_ns=stamp_ns, frame_id=message.header.frame_id or camera
-    )
-
-
-def _stamp_ns(stamp: Time) -> int:
-    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
-
-
 def pose_topic(namespace: str, arm: str = "") -> str:
     """Topic of the measured TCP pose, of the named arm if there are several."""
     return f"/{namespace}/{f'{arm}/' if arm else ''}ee_pose"
 
 
 def pose_of(message: PoseStamped | None) -> Pose | None:
-    """geometry_msgs/PoseStamped -> Pose."""
-    if message is None:
-        return None
-    p, q = message.pose.position, message.pose.orientation
-    return Pose(
-        position_m=np.array([p.x, p.y, p.z]),
-        quaternion_xyzw=np.array([q.x, q.y, q.z, q.w]),
-        stamp_ns=_stamp_ns(message.header.stamp),
-    )
+    """geometry_msgs/PoseStamped -> Pose; None stays None."""
+    return None if message is None else messages.pose_from_message(message)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
-from pathlib import Path
+
+from roboneuron.command import state_folder
 
 _MODULES = ("robot", "perception", "inference", "control", "server")
 
@@ -34,32 +35,15 @@ class Logs:
         parser.add_argument(
             "--run", metavar="NAME", help="a run of that list instead of the newest"
         )
-        where = parser.add_mutually_exclusive_group()
-        where.add_argument(
-            "--config",
-            type=Path,
-            metavar="FILE",
-            help="a roboneuron.toml that names the state directory",
-        )
-        where.add_argument(
-            "--state", type=Path, metavar="DIRECTORY", help="the state directory itself"
-        )
+        state_folder.add_arguments(parser, with_robot=False)
 
     def run(self, arguments: Namespace) -> int:
         """Run `roboneuron logs`."""
         from rn_standard.console.log_reading import LogView, choose_run
         from rn_standard.console.log_runs import log_runs
         from rn_standard.console.table import make_console
-        from roboneuron.command import environment
 
-        configured = None
-        if arguments.config is not None:
-            from roboneuron.command import load_config
-
-            configured = load_config(arguments.config).supervisor.state_directory
-        directory = environment.state_directory(
-            str(arguments.state) if arguments.state else configured
-        )
+        directory = state_folder.state_directory_of(arguments)
         if arguments.runs:
             for run in log_runs(directory):
                 print(f"{run.path.name}  {', '.join(run.files()) or 'empty'}")

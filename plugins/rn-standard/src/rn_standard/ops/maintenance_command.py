@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import sys
 from argparse import ArgumentParser, Namespace
-from pathlib import Path
+
+from roboneuron.command import state_folder
 
 
 class Maintenance:
@@ -17,18 +18,7 @@ class Maintenance:
 
     def configure(self, parser: ArgumentParser) -> None:
         """Add the arguments of `roboneuron maintenance`."""
-        parser.add_argument(
-            "--config",
-            type=Path,
-            metavar="FILE",
-            help="a roboneuron.toml that names the state directory",
-        )
-        parser.add_argument(
-            "--state", type=Path, metavar="DIRECTORY", help="the state directory itself"
-        )
-        parser.add_argument(
-            "--robot", metavar="NAME", help="one of several robots; all of them without it"
-        )
+        state_folder.add_arguments(parser)
         action = parser.add_mutually_exclusive_group()
         action.add_argument("--begin", metavar="WHY", help="take it out of service")
         action.add_argument(
@@ -39,20 +29,18 @@ class Maintenance:
         """Run `roboneuron maintenance`.
 
         Raises:
+            ConfigurationError: the robot is unknown, or the file of --config cannot be read.
             RefusedError: there is no terminal for --end, or neither file nor audit can be written.
         """
         from rn_standard.ops.maintenance import MaintenanceFile
         from roboneuron import RefusedError
-        from roboneuron.command import AuditLog, Role, environment, estop, reading, terminal
+        from roboneuron.command import AuditLog, Role, estop, terminal
 
-        configured = reading.read_state_directory(arguments.config) if arguments.config else None
-        directory = environment.state_directory(
-            str(arguments.state) if arguments.state else configured
+        folders = state_folder.folders_of(
+            state_folder.state_directory_of(arguments), arguments.robot
         )
-        of_robots = reading.robot_folder(directory).parent
-        folders = sorted(of_robots.glob("*")) or [directory]
-        if arguments.robot:
-            folders = [of_robots / arguments.robot]
+        if not arguments.robot:
+            folders = folders[1:] or folders  # a server of several robots has none itself
         who, status = AuditLog.user_at_terminal(), 0
         if arguments.end and not sys.stdin.isatty():
             raise RefusedError(

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from rn_view.sources.source import Source
 from rn_view.visualization.predicted_path import PlannedChunk
-from roboneuron import ACTION_LABEL, RobotProfile, frame_from_buffer
+from roboneuron import ACTION_LABEL, RobotProfile, image_from_message
 
 if TYPE_CHECKING:
     from geometry_msgs.msg import PoseStamped
@@ -160,21 +160,9 @@ class MeasuredTopics:
         self.commanded = dict(zip(message.name, message.position, strict=False))
 
     def _on_image(self, camera: str, message: Image) -> None:
-        pixels = image_pixels(message)
+        pixels = image_from_message(message)
         stamp_ns = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
         number = self.images[camera][0] + 1 if camera in self.images else 1
         with self.news:
             self.images[camera] = number, pixels, stamp_ns
             self.news.notify_all()
-
-
-def image_pixels(message: Image) -> U8:
-    """Pixels of an image message, uint8 (H, W, 3), RGB. Raises as `frame_from_buffer`."""
-    pixels: U8 = frame_from_buffer(
-        message.data,
-        width=message.width,
-        height=message.height,
-        step=message.step,
-        encoding=message.encoding,
-    )
-    return pixels

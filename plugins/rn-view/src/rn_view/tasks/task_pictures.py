@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from rn_view.sources.measured_topics import image_pixels
 from rn_view.tasks.past_tasks import PastTasks
-from roboneuron import RoboNeuronError
+from roboneuron import RoboNeuronError, image_from_message
 from roboneuron.feature import Answer, IncomingCall, Proceed
 
 if TYPE_CHECKING:
@@ -121,7 +120,7 @@ def jpeg(message: Image) -> bytes:
     """Encode an image message as JPEG, at most 320 px wide."""
     from PIL import Image as Pillow  # heavy
 
-    picture = Pillow.fromarray(np.ascontiguousarray(image_pixels(message)))
+    picture = Pillow.fromarray(np.ascontiguousarray(image_from_message(message)))
     picture.thumbnail((_WIDTH_PX, _WIDTH_PX * 4))
     out = io.BytesIO()
     picture.save(out, "JPEG", quality=_QUALITY)

@@ -20,7 +20,6 @@ from roboneuron.contract import (
     JointSample,
     Observation,
     Pose,
-    frame_from_buffer,
 )
 from roboneuron.errors import ConfigurationError, InvalidInputError
 from roboneuron.modules import settings
@@ -75,7 +74,7 @@ class CalibratedCamera:
         size = (int(message.width), int(message.height))
         if size not in self._calibrations:
             self._calibrations[size] = self._profile.calibration_at(*size)
-        frame = frame_from_message(message, self._profile.name, self._calibrations[size])
+        frame = messages.frame_from_message(message, self._profile.name, self._calibrations[size])
         shape, expected = frame.image.shape, self._shape or frame.image.shape
         if shape != expected:
             raise InvalidInputError(
@@ -170,11 +169,11 @@ class NewestInputs:
 
     def on_ee_pose(self, message: PoseStamped) -> None:
         """Subscription callback."""
-        self._ee_pose = pose_from_message(message)
+        self._ee_pose = messages.pose_from_message(message)
 
     def on_arm_pose(self, arm: str, message: PoseStamped) -> None:
         """Subscription callback for the TCP of one of several arms."""
-        self._arm_poses[arm] = pose_from_message(message)
+        self._arm_poses[arm] = messages.pose_from_message(message)
 
     def check_types(self, types: Mapping[str, list[str]], namespace: str) -> None:
         """Compare the graph's types with the contract's: DDS does not connect different types, and
@@ -297,48 +296,3 @@ class NewestInputs:
         if any(role not in self._frames for role in needed) or self._leading not in self._frames:
             return False
         return self._frames[self._leading].stamp_ns != self._used_ns
-
-
-def frame_from_message(
-    message: Image, camera: str, calibration: CameraCalibration | None = None
-) -> Frame:
-    """sensor_msgs/Image -> Frame; `rgb8` shares the message's memory.
-
-    Args:
-        camera: the camera's name.
-        calibration: of this camera at this image size.
-
-    Raises:
-        InvalidInputError: unknown encoding, damaged sizes, or an unset stamp.
-    """
-    stamp_ns = messages.to_ns(message.header.stamp)
-    if stamp_ns <= 0:
-        raise InvalidInputError(
-            f"An image of camera {camera!r} carries no capture time in header.stamp."
-        )
-    image = frame_from_buffer(
-        message.data,
-        width=message.width,
-        height=message.height,
-        step=message.step,
-        encoding=message.encoding,
-    )
-    return Frame(
-        camera=camera,
-        image=image,
-        stamp_ns=stamp_ns,
-        frame_id=message.header.frame_id or camera,
-        calibration=calibration,
-    )
-
-
-def pose_from_message(message: PoseStamped) -> Pose:
-    """geometry_msgs/PoseStamped -> Pose in the message's frame, which is not checked: that of
-    `ee_pose` is the robot's base.
-    """
-    p, q = message.pose.position, message.pose.orientation
-    return Pose(
-        position_m=np.array([p.x, p.y, p.z]),
-        quaternion_xyzw=np.array([q.x, q.y, q.z, q.w]),
-        stamp_ns=messages.to_ns(message.header.stamp),
-    )

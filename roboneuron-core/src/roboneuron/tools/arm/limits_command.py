@@ -8,7 +8,8 @@ import json
 import sys
 import time
 from argparse import ArgumentParser, Namespace
-from pathlib import Path
+
+from roboneuron.cli import state_folder
 
 
 class Limits:
@@ -16,50 +17,36 @@ class Limits:
 
     def configure(self, parser: ArgumentParser) -> None:
         """Add the arguments of `roboneuron limits`."""
-        parser.add_argument(
-            "--config",
-            type=Path,
-            metavar="FILE",
-            help="a roboneuron.toml that names the state directory",
-        )
-        parser.add_argument(
-            "--state", type=Path, metavar="DIRECTORY", help="the state directory itself"
-        )
-        parser.add_argument(
-            "--robot", metavar="NAME", help="one of several robots; all of them without it"
-        )
+        state_folder.add_arguments(parser)
         parser.add_argument(
             "--loosen", action="store_true", help="return to the configured limits; asks for a yes"
         )
 
     def run(self, arguments: Namespace) -> int:
-        """Run `roboneuron limits`; exit status 1 if the person did not agree."""
+        """Run `roboneuron limits`; exit status 1 if the person did not agree, or a file cannot be
+        read.
+
+        Raises:
+            ConfigurationError: the robot is unknown, or the file of --config cannot be read.
+            RefusedError: there is no terminal for --loosen, or neither file nor audit can be
+                written.
+        """
         from roboneuron import foreign
-        from roboneuron.config import reading
         from roboneuron.errors import ConfigurationError
-        from roboneuron.ros import environment
         from roboneuron.tools.arm.tightening import FILE_NAME, TighteningFile
 
-        configured = reading.read_state_directory(arguments.config) if arguments.config else None
-        directory = environment.state_directory(
-            str(arguments.state) if arguments.state else configured
+        folders = state_folder.folders_of(
+            state_folder.state_directory_of(arguments), arguments.robot
         )
-        of_robots = reading.robot_folder(directory).parent
-        folders = (
-            [of_robots / arguments.robot]
-            if arguments.robot
-            else [directory, *sorted(of_robots.glob("*"))]
-        )
-        files = [file for folder in folders if (file := folder / FILE_NAME).exists()]
+        files = [path for folder in folders if (path := folder / FILE_NAME).exists()]
         status = 0
         for path in files:
             file = TighteningFile(path)
             try:
                 record = file.read()
             except ConfigurationError as error:
-                if not arguments.loosen:
-                    raise
                 print(error.message)
+                status |= not arguments.loosen
             else:
                 if record is None or record.tightening.is_empty:
                     continue

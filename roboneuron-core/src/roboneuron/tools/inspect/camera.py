@@ -11,9 +11,10 @@ from pydantic import Field
 from roboneuron.contract import Frame
 from roboneuron.errors import ConfigurationError, InvalidInputError, NotReadyError
 from roboneuron.plugins.specs import RobotSpec
+from roboneuron.ros.messages import frame_from_message
 from roboneuron.server.host import Host
 from roboneuron.server.tool import Arguments, CallContext, Picture, Reply, Result, Tool
-from roboneuron.sight.inputs import frame_of, image_topic, why_no_image
+from roboneuron.sight.inputs import image_topic, why_no_image
 
 if TYPE_CHECKING:
     from sensor_msgs.msg import Image
@@ -116,7 +117,7 @@ def read_frame(host: Host, camera: str, timeout_s: float) -> Frame:
             f"Camera {camera!r} delivered no image on {topic} within {timeout_s:g} s.",
             hint=why_no_image(host),
         )
-    return frame_of(received[0], camera)
+    return frame_from_message(received[0], camera)
 
 
 def encode(frame: Frame, form: Format) -> Picture:

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roboneuron.compressed_image import frame_from_compressed
-from roboneuron.contract import frame_from_buffer
+from roboneuron.contract import image_from_message
 from roboneuron.contract.encodings import MEASURE_ENCODINGS
-from roboneuron.contract.image import measure_from_buffer
+from roboneuron.contract.image import measure_from_message
 
 if TYPE_CHECKING:
     import PIL.Image
@@ -89,30 +89,16 @@ def to_picture(
 
 
 def _to_colour(message: Image) -> PIL.Image.Image:
-    """Convert the other encodings. Raises InvalidInputError as `frame_from_buffer`."""
+    """Convert the other encodings. Raises as `image_from_message`."""
     from PIL import Image as Picture  # heavy: only where pictures are made
 
-    pixels = frame_from_buffer(
-        message.data,
-        width=message.width,
-        height=message.height,
-        step=message.step,
-        encoding=message.encoding,
-        is_bigendian=bool(message.is_bigendian),
-    )
+    pixels = image_from_message(message)
     is_grey = message.encoding in _GREY
     return Picture.fromarray(np.ascontiguousarray(pixels[:, :, 0]) if is_grey else pixels)
 
 
 def _to_grey(message: Image, encoding: str) -> tuple[NDArray[np.uint8], str]:
-    values = measure_from_buffer(
-        message.data,
-        width=int(message.width),
-        height=int(message.height),
-        step=int(message.step),
-        encoding=encoding,
-        is_bigendian=bool(message.is_bigendian),
-    ).astype(np.float64)
+    values = measure_from_message(message).astype(np.float64)
     finite = np.isfinite(values)
     if not finite.any():
         return np.zeros(values.shape, dtype=np.uint8), f"{encoding} without a finite value"
