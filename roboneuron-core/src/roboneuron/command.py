@@ -22,7 +22,7 @@ GROUPS: Mapping[str, frozenset[str]] = {
         "qos": "requested_qos",
         "reading": "default_text robot_folder",
         "settings": "EMERGENCY_STOP_TOPIC HOLD_DURATION_S",
-        "state_folder": "add_arguments folders_of state_directory_of",
+        "state_folder": "add_arguments folders_of",
         "terminal": "add_verbosity is_agreed log_level",
         "topics": "ACTION DIAGNOSTICS JOINT_STATES",
     }.items()

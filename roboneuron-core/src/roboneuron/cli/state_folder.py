@@ -31,24 +31,19 @@ def add_arguments(parser: ArgumentParser, *, with_robot: bool = True) -> None:
         )
 
 
-def state_directory_of(arguments: Namespace) -> Path:
-    """The state directory that a command line means.
+def folders_of(arguments: Namespace) -> list[Path]:
+    """The folder of the server itself, the state directory, and then those of its robots; with
+    --robot the one of that robot.
 
     Raises:
-        ConfigurationError: the file of --config cannot be read.
+        ConfigurationError: the file of --config cannot be read, or the robot has no folder: what
+            has no effect must not look like success.
     """
     configured = read_state_directory(arguments.config) if arguments.config else None
-    return state_directory(str(arguments.state) if arguments.state else configured)
-
-
-def folders_of(directory: Path, robot: str | None = None) -> list[Path]:
-    """The folder of the server itself and those of its robots, or the one of the named robot.
-
-    Raises:
-        ConfigurationError: the robot has no folder; what has no effect must not look like success.
-    """
+    directory = state_directory(str(arguments.state) if arguments.state else configured)
     of_robots = robot_folder(directory).parent
     known = {path.name: path for path in sorted(of_robots.glob("*"))}
+    robot = getattr(arguments, "robot", None)
     if robot is None:
         return [directory, *known.values()]
     if robot not in known:

@@ -12,7 +12,7 @@ import time
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-from roboneuron.cli.state_folder import add_arguments, folders_of, state_directory_of
+from roboneuron.cli.state_folder import add_arguments, folders_of
 from roboneuron.cli.terminal import ask_hidden, is_agreed
 from roboneuron.errors import RefusedError, RoboNeuronError
 from roboneuron.estop.latch import EmergencyStopLatch
@@ -48,15 +48,14 @@ def run(arguments: Namespace) -> int:
         ConfigurationError: the robot is unknown, or the file names no state directory.
         RoboNeuronError: one stop could not be latched; the others are.
     """
-    directory = state_directory_of(arguments)
-    folders_of(directory, arguments.robot)  # raises for an unknown robot
+    first = folders_of(arguments)[0]
     who = AuditLog.user_at_terminal()
     if arguments.set_pin:
-        return _set_pin(ReleasePin(directory), AuditLog.in_directory(directory), who)
+        return _set_pin(ReleasePin(first), AuditLog.in_directory(first), who)
     done: set[Path] = set()
     status, failure = 0, None
     # repeated, because a server that starts meanwhile creates more folders
-    while folders := set(folders_of(directory, arguments.robot)) - done:
+    while folders := set(folders_of(arguments)) - done:
         for folder in sorted(folders):
             latch = EmergencyStopLatch.in_directory(folder)
             audit = AuditLog.in_directory(folder)

@@ -43,7 +43,7 @@ class Logs:
         from rn_standard.console.log_runs import log_runs
         from rn_standard.console.table import make_console
 
-        directory = state_folder.state_directory_of(arguments)
+        directory = state_folder.folders_of(arguments)[0]
         if arguments.runs:
             for run in log_runs(directory):
                 print(f"{run.path.name}  {', '.join(run.files()) or 'empty'}")

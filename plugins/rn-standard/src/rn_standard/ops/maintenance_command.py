@@ -36,9 +36,7 @@ class Maintenance:
         from roboneuron import RefusedError
         from roboneuron.command import AuditLog, Role, estop, terminal
 
-        folders = state_folder.folders_of(
-            state_folder.state_directory_of(arguments), arguments.robot
-        )
+        folders = state_folder.folders_of(arguments)
         if not arguments.robot:
             folders = folders[1:] or folders  # a server of several robots has none itself
         who, status = AuditLog.user_at_terminal(), 0

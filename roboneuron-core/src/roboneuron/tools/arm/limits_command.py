@@ -35,9 +35,7 @@ class Limits:
         from roboneuron.errors import ConfigurationError
         from roboneuron.tools.arm.tightening import FILE_NAME, TighteningFile
 
-        folders = state_folder.folders_of(
-            state_folder.state_directory_of(arguments), arguments.robot
-        )
+        folders = state_folder.folders_of(arguments)
         files = [path for folder in folders if (path := folder / FILE_NAME).exists()]
         status = 0
         for path in files:
