@@ -23,10 +23,11 @@ SOON_S, LATE_S = 0.01, 60.0
 def test_it_ends_after_its_time() -> None:
     ends, ended = RecordingEnds(), threading.Event()
     runs: list[str] = []
-    ends.what = lambda run: (runs.append(run), ended.set())
+    ends.what = runs.append
+    ends.told = lambda run: (runs.append(f"told {run}"), ended.set())
     ends.after(SOON_S, "run-1")
     assert ended.wait(10.0)
-    assert runs == ["run-1"]
+    assert runs == ["run-1", "told run-1"]
     ends.close()
 
 
@@ -49,7 +50,7 @@ def test_a_recorder_that_does_not_obey_is_told_of(caplog: pytest.LogCaptureFixtu
         raise StateError("no recorder")
 
     ends = RecordingEnds()
-    ends.what = fail
+    ends.what, ends.told = fail, lambda run: pytest.fail("it goes on")
     ends._end("run-1")
     assert "run-1 could not be ended" in caplog.text
 

@@ -92,6 +92,7 @@ class Recorder(Feature[RecorderOptions]):
         self._restarting = threading.Lock()
         self._namespace = host.config.namespace
         self._process = self._make()
+        self._ends.told = lambda run: self._tell_uncalled("stop_recording", run)
         if self.is_enabled:
             host.events.health.listen(self._on_health)
             host.events.fault.listen(self._on_fault)
@@ -113,7 +114,9 @@ class Recorder(Feature[RecorderOptions]):
         if self.options.record:
             process = self._process
             threading.Thread(
-                target=self._record, args=(process,), name="recording", daemon=True
+                target=lambda: self._tell_uncalled("start_recording", self._record(process)),
+                name="recording",
+                daemon=True,
             ).start()
 
     def close(self) -> None:
@@ -127,9 +130,13 @@ class Recorder(Feature[RecorderOptions]):
         """True if recording is enabled."""
         return self.options.enabled and os.environ.get(SWITCH, "").lower() not in ("off", PLAY)
 
-    def _record(self, process: RecorderProcess) -> None:
-        """Start a recording as soon as a recorder is ready; if that one ends without an answer, the
-        next one is used.
+    def _tell_uncalled(self, tool: str, run: str) -> None:
+        if run:
+            self._host.events.uncalled.tell(tool, "the recorder", {"id": run})
+
+    def _record(self, process: RecorderProcess) -> str:
+        """Start a recording as soon as a recorder is ready, and return its id; if that one ends
+        without an answer, the next one is used. Empty if the recorder is closed before.
         """
         while process.wait_for_status():
             run = str(process.status.get("recording", ""))
@@ -141,7 +148,8 @@ class Recorder(Feature[RecorderOptions]):
                 log.warning("The recording with the server has not begun yet: %s", error)
             if run:
                 process.resume_with(run, "server")
-                return
+                return run
+        return ""
 
     def _make(self) -> RecorderProcess:
         ended = self._host.modules.process_events.ended

@@ -131,6 +131,8 @@ class RecordingEnds:
     def __init__(self) -> None:
         self.what: Callable[[str], object] = lambda run: None
         """Called with the id of the recording to be ended."""
+        self.told: Callable[[str], object] = lambda run: None
+        """Called with the id of a recording that was ended."""
         self.again_s = 5.0
         """Time until the next attempt while the recorder does not answer [s]."""
         self._lock = threading.Lock()
@@ -169,6 +171,7 @@ class RecordingEnds:
     def _end(self, run: str) -> None:
         try:
             self.what(run)
+            self.told(run)
         except NotReadyError as error:
             log.warning("The recording %s could not be ended yet: %s", run, error)
             with self._lock:

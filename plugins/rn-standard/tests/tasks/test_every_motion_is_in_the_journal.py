@@ -1,7 +1,8 @@
-"""get_journal: what clients' calls have moved, bounded, paged, of this robot."""
+"""get_journal: what clients' calls have moved or changed, bounded, paged, of this robot."""
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -62,6 +63,36 @@ def motion(name: str = "turn", **more: Any) -> Tool[Turn]:
     )
 
 
+class Change(Arguments):
+    """Arguments of a change that moves nothing."""
+
+    value: float = 0.0
+
+
+class Changed(Result):
+    """Answer of a change, with fields of all of them."""
+
+    id: str = "run-7"
+    started_with: dict[str, str]
+
+
+async def changed(arguments: Change, context: CallContext) -> Changed:
+    if arguments.value < 0:
+        raise RefusedError("Not below.", rule="a test")
+    return Changed(started_with={"source": "fake"})
+
+
+def change(name: str) -> Tool[Change]:
+    return Tool(
+        name=name,
+        title=name,
+        description=name,
+        arguments=Change,
+        result=Changed,
+        handler=changed,
+    )
+
+
 @pytest.fixture
 def application(tmp_path: Path) -> Iterator[Application]:
     registry = fake_registry(DIRECT_PATH, SELECTION, FEATURE, ARM, STOP_MOTION)
@@ -72,6 +103,8 @@ def application(tmp_path: Path) -> Iterator[Application]:
         command=lambda python: pytest.fail("nothing may be spawned"),
     )
     made.tools.add_all([motion(), motion("lift"), motion("look_at", simulated_by=frozenset())])
+    made.tools.add_all([change(name) for name in ("tighten_limits", "start_recording")])
+    made.tools.add_all([change("switch_perception")])
     yield made
     made.close()
 
@@ -170,6 +203,44 @@ def test_short_calls_of_one_tool_are_one_entry(
     ]
     assert [one["kind"] for one in entries] == ["stop", "tool", "tool"]
     assert [one["tool"] for one in journal(call, kind="stop")["entries"]] == ["stop_motion"]
+
+
+@pytest.mark.parametrize(
+    ("tool", "kind"),
+    [
+        ("tighten_limits", "limits"),
+        ("start_recording", "recording"),
+        ("switch_perception", "switch"),
+    ],
+)
+def test_changes_are_told_one_by_one_also_refused_ones_without_a_speed(
+    application: Application,
+    call: Callable[..., types.CallToolResult],
+    tool: str,
+    kind: str,
+) -> None:
+    meter = Meter()
+    meter.speeds.append((time.monotonic() + 60.0, 0.2))
+    application.host.features.loaded["meter"] = meter
+    call("turn")
+    for value in (0.1, 0.2, -1.0):
+        call(tool, value=value)
+    entries = journal(call, kind=kind)["entries"]
+    assert [one["outcome"] for one in entries] == ["refused", "done", "done"]
+    assert [one["tool"] for one in entries] == [tool] * 3
+    told = {"value": 0.1, "id": "run-7", "started_with": {"source": "fake"}}
+    assert json.loads(entries[-1]["instruction"]) == told
+    assert all("max_tcp_speed_m_s" not in one for one in entries)
+    assert {one["kind"] for one in journal(call)["entries"]} == {kind, "tool"}
+
+
+def test_a_change_without_a_call_is_told_with_who_made_it(
+    application: Application, call: Callable[..., types.CallToolResult]
+) -> None:
+    application.host.events.uncalled.tell("loosen_limits", "a person in a terminal", {"by": "yes"})
+    (entry,) = journal(call, kind="limits")["entries"]
+    assert (entry["tool"], entry["who"]) == ("loosen_limits", "a person in a terminal")
+    assert json.loads(entry["instruction"]) == {"by": "yes"}
 
 
 def test_the_journal_is_read_by_pages_and_from_a_time_on(

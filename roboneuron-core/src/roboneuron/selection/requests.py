@@ -80,7 +80,7 @@ class StartChosenInference(Arguments):
     )
     instruction: InstructionText | None = Field(
         default=None,
-        description='What to do at once, such as "pick up the red cube".',
+        description="What to do at once.",
     )
     cameras: dict[str, str] | None = Field(
         default=None,

@@ -63,6 +63,8 @@ class Events:
             requesting thread.
         call_begun: a client called a tool; nothing is done or refused yet.
         call_ended: a tool call was answered, asked its user or was cancelled.
+        uncalled: what a tool does was done without a call (a person in a terminal, a time that is
+            over): the tool, who or what did it, and JSON-serialisable details; from any thread.
         client: a client of several robots called a tool of one of them (True), or a client has
             disconnected (False).
         presence: a client has opened (1) or closed (-1) a request or a stream.
@@ -83,6 +85,7 @@ class Events:
         self.decision: Event[[AuditRecord]] = Event()
         self.call_begun: Event[[IncomingCall]] = Event()
         self.call_ended: Event[[EndedCall]] = Event()
+        self.uncalled: Event[[str, str, Mapping[str, Any]]] = Event()
         self.client: Event[[str, bool]] = Event()
         self.presence: Event[[str, int]] = Event()
 

@@ -137,12 +137,15 @@ def test_a_person_in_a_terminal_is_asked_and_a_running_server_notices(
     application = make()
     call(application, "tighten_limits", max_speed_m_s=0.1)
     application.features.start(application.host)
+    told: list[tuple[str, str]] = []
+    application.events.uncalled.listen(lambda tool, who, facts: told.append((tool, who)))
     monkeypatch.setattr(sys.stdin, "isatty", lambda: True, raising=False)
     monkeypatch.setattr("builtins.input", lambda prompt: answer)
     assert command(tmp_path, "--loosen") == status
     if status == 0:
-        wait_until(lambda: application.supervisor.tightened is None, 10.0)
+        wait_until(lambda: bool(told), 10.0)
     assert (application.supervisor.tightened is None) == (status == 0)
+    assert [tool for tool, _ in told] == ["loosen_limits"] * (status == 0)
 
 
 def test_without_a_terminal_nothing_is_loosened(

@@ -1,4 +1,6 @@
-"""History of tasks and of all other motions, kept across restarts: words, robot, model, outcome."""
+"""History of tasks, of all other motions and of changes, kept across restarts: words, robot, model,
+outcome.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,7 @@ import threading
 from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import IO, TypedDict, Unpack
+from typing import IO, Literal, TypedDict, Unpack
 
 from pydantic import Field
 
@@ -27,14 +29,15 @@ FILE_NAME = "tasks.jsonl"
 TASKS_URI = "roboneuron://tasks/history"
 RUN_TASK = "run_task"
 KEPT = 1000
-"""Number of motions kept; the file is shortened when it contains twice as many."""
+"""Number of entries kept; the file is shortened when it contains twice as many."""
+Kind = Literal["task", "instruction", "tool", "lead", "stop", "limits", "recording", "switch"]
 _IN_RESOURCE = 20
 _MOST_TEXT = 500
 _log = logging.getLogger(__name__)
 
 
 class PastTask(Result):
-    """One call that moved the robot: run_task, or another tool."""
+    """One call that moved the robot, or changed its limits, policy or recording."""
 
     at: str = Field(description="when it ended, ISO 8601")
     instruction: str
@@ -46,6 +49,7 @@ class PastTask(Result):
     model: dict[str, str] = Field(
         default_factory=dict, description="what the policy was started with, by argument"
     )
+    kind: Kind | None = None
     tool: str = Field(default=RUN_TASK, description="the called tool")
     who: str = Field(default="", description="the client")
     calls: int = Field(default=1, description="so many like it, one after the other")
@@ -63,6 +67,7 @@ class MotionFacts(TypedDict, total=False):
 
     robot: str
     model: dict[str, str]
+    kind: Kind
     tool: str
     who: str
     calls: int
@@ -118,8 +123,8 @@ class TaskHistory:
         at: datetime | None = None,
         **facts: Unpack[MotionFacts],
     ) -> None:
-        """Add a motion that ended `at` that time, now if None. A failed write is only logged,
-        because the history must not fail a task.
+        """Add a motion or change that ended `at` that time, now if None. A failed write is only
+        logged, because the history must not fail a task.
         """
         task = PastTask(
             at=(at or self._now()).isoformat(timespec="seconds"),

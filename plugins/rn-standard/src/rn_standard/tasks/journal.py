@@ -1,4 +1,6 @@
-"""Tool get_journal: every motion of this server's robot, from the history of tasks."""
+"""Tool get_journal: motions of this server's robot, and changes of limits, policies and recordings,
+from the history of tasks.
+"""
 
 from __future__ import annotations
 
@@ -9,15 +11,14 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import Literal, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 from pydantic import Field
 
-from rn_standard.tasks.history import RUN_TASK, MotionFacts, PastTask, TaskHistory
+from rn_standard.tasks.history import RUN_TASK, Kind, MotionFacts, PastTask, TaskHistory
 from roboneuron import Arguments, CallContext, Host, InvalidInputError, Result, Tool
 from roboneuron.feature import EndedCall, IncomingCall, Report
 
-Kind = Literal["task", "instruction", "tool", "lead", "stop"]
 _WORDS = 200
 _TOGETHER_S = 2.0
 """Calls of one tool and client with pauses shorter than this are one entry, if each is short."""
@@ -27,6 +28,15 @@ _BUCKET_S = 0.25
 _STOPS = frozenset({"stop_motion", "emergency_stop"})
 _LEADS = frozenset({"lead_arm", "hand_back"})
 _OTHERS = frozenset({"play_recording"})
+_CHANGES: Mapping[str, Kind] = {
+    **dict.fromkeys(("tighten_limits", "loosen_limits"), "limits"),
+    **dict.fromkeys(("start_recording", "stop_recording"), "recording"),
+    **dict.fromkeys(("switch_inference", "switch_perception", "switch_control"), "switch"),
+    **dict.fromkeys(("start_inference", "stop_inference", "start_all", "stop_all"), "switch"),
+}
+"""Tools that move nothing; one that gives an instruction is an instruction."""
+_TOLD = ("id", "started_with", "replaced")
+"""Fields of the answers of `_CHANGES` that belong to their words."""
 _UNMOVED = frozenset({"invalid_input", "internal"})
 """Codes of errors of calls that have moved nothing."""
 
@@ -35,27 +45,20 @@ class GetJournal(Arguments):
     """Arguments of get_journal."""
 
     since: str = Field(
-        default="", max_length=40, description="Only what ended later, ISO 8601 with its zone."
+        default="", max_length=40, description="Only what ended later, ISO 8601 with zone."
     )
-    kind: Kind | None = Field(default=None, description="Only this kind.")
+    kind: Kind | None = Field(default=None, description="Only these.")
     entries: int = Field(default=20, ge=1, le=50, description="At most so many.")
-    skip: int = Field(default=0, ge=0, description="Newer ones that are left out: the next page.")
+    skip: int = Field(default=0, ge=0, description="Newer ones to leave out, for pages.")
     all_robots: bool = Field(default=False, description="Of other robots too.")
 
 
-class JournalEntry(PastTask):
-    """A motion."""
-
-    sparse = True
-    kind: Kind
-
-
 class Journal(Result):
-    """Motions, newest first."""
+    """Motions and changes, newest first."""
 
     sparse = True
 
-    entries: list[JournalEntry]
+    entries: list[PastTask]
     more: int = Field(description="older ones that fit the call")
 
 
@@ -82,6 +85,7 @@ class _Row:
     """Short calls of one tool that are written as one entry."""
 
     key: tuple[str, ...]
+    kind: Kind
     words: str
     begun: _MotionStart
     ended_s: float
@@ -97,7 +101,7 @@ class _Row:
 
 
 class MotionJournal:
-    """Writes what clients' calls have moved into the history; usable from any thread.
+    """Writes what clients' calls have moved or changed into the history; usable from any thread.
 
     Args:
         host: the server.
@@ -112,6 +116,7 @@ class MotionJournal:
         self._row: _Row | None = None
         host.events.call_begun.listen(self._on_begin)
         host.events.call_ended.listen(self._on_end)
+        host.events.uncalled.listen(self._on_uncalled)
 
     def fastest_m_s(self, past_s: float) -> float | None:
         """Highest speed of the TCP within the last seconds [m/s]; None if not measured."""
@@ -150,20 +155,23 @@ class MotionJournal:
         begun = self._begun.pop(id(ended.call), None)
         if begun is None or ended.outcome == "asked" or ended.code in _UNMOVED:
             return
-        if kind_of(ended.call) in (None, "task"):
+        kind = kind_of(ended.call)
+        if kind is None or kind == "task":
             return
         call, answer = ended.call, ended.answer
         structured = {} if answer is None else answer.structured
+        is_change = kind in _CHANGES.values()
         outcome = ended.code or ("done" if ended.outcome == "answered" else ended.outcome)
         if ended.code and call.name not in _STOPS and self._stopped_s > begun.began_s:
             outcome = "stopped"
         row = _Row(
             key=(call.name, call.context.who, str(structured.get("outcome") or outcome)),
-            words=_words(call.arguments),
+            kind=kind,
+            words=_words({**call.arguments, **(_told(structured) if is_change else {})}),
             begun=begun,
             ended_s=time.monotonic(),
             at=datetime.now(UTC),
-            facts=self.facts_since(begun, has_failed=ended.error is not None),
+            facts={} if is_change else self.facts_since(begun, has_failed=bool(ended.error)),
             reason="" if ended.error is None else ended.error.message,
         )
         told = ("objects_moved", "pushed", "others_moved")
@@ -171,7 +179,7 @@ class MotionJournal:
         objects = list(moved) if isinstance(moved, list) else []
         with self._lock:
             last = self._row
-            is_short = ended.took_s < _SHORT_S and not objects
+            is_short = ended.took_s < _SHORT_S and not objects and not is_change
             if is_short and last is not None and last.is_followed_by(row):
                 row.begun, row.calls = last.begun, last.calls + 1
                 row.facts = self.facts_since(row.begun, has_failed=ended.error is not None)
@@ -183,9 +191,15 @@ class MotionJournal:
         if not is_short:
             self._write(row, objects)
 
+    def _on_uncalled(self, tool: str, who: str, facts: Mapping[str, object]) -> None:
+        self.flush()
+        words = _words(facts)
+        self._history.note(words, "done", "", kind=_CHANGES[tool], tool=tool, who=who)
+
     def _write(self, row: _Row, objects: list[object] | None = None) -> None:
         tool, who, outcome = row.key
-        facts: MotionFacts = {**row.facts, "tool": tool, "who": who, "calls": row.calls}
+        facts: MotionFacts = {**row.facts, "kind": row.kind, "tool": tool, "who": who}
+        facts["calls"] = row.calls
         if objects:
             facts["objects_moved"] = objects
         took_s = row.ended_s - row.begun.began_s
@@ -206,9 +220,9 @@ class MotionJournal:
                 lambda _: self._history.newest(tool="", all_robots=arguments.all_robots)
             )
             entries = [
-                JournalEntry(kind=kind, **one.model_dump(exclude_defaults=True))
+                one.model_copy(update={"kind": kind})
                 for one in found
-                if (kind := _kind(one.tool, one.instruction)) in (arguments.kind or kind,)
+                if (kind := one.kind or _kind(one.tool)) in (arguments.kind or kind,)
                 and (since is None or datetime.fromisoformat(one.at) >= since)
             ][arguments.skip :]
             shown = entries[: arguments.entries]
@@ -216,9 +230,10 @@ class MotionJournal:
 
         return Tool(
             name="get_journal",
-            title="What moved the robot",
-            description="Every motion of this robot, newest first: words, tool, outcome, how long, "
-            "highest speed of the TCP, limits that acted. For questions about what was done.",
+            title="What was done",
+            description="What was done with this robot, newest first: motions (words, outcome, "
+            "duration, highest TCP speed, limits that acted); limits, recordings and policies that "
+            "changed.",
             arguments=GetJournal,
             result=Journal,
             handler=get_journal,
@@ -228,18 +243,19 @@ class MotionJournal:
 
 
 def kind_of(call: IncomingCall) -> Kind | None:
-    """Kind of motion that a call asks for; None for one that moves nothing."""
+    """Kind of motion or change that a call asks for; None for one that only reads."""
     tool = call.found
     if tool is None or call.context.simulated:
         return None
     if call.name in _STOPS | _LEADS | _OTHERS or tool.simulated_by:
-        return _kind(call.name, "")
+        return _kind(call.name)
     if call.arguments.get("instruction"):
         return "instruction"
-    return None
+    return _CHANGES.get(call.name)
 
 
-def _kind(tool: str, words: str) -> Kind:
+def _kind(tool: str) -> Kind:
+    """Kind of a motion; older entries of the history have none."""
     if tool == RUN_TASK:
         return "task"
     if tool in _STOPS:
@@ -248,6 +264,10 @@ def _kind(tool: str, words: str) -> Kind:
         return "lead"
     is_instruction = tool == "set_instruction" or tool.startswith("start_")
     return "instruction" if is_instruction else "tool"
+
+
+def _told(answer: Mapping[str, object]) -> dict[str, object]:
+    return {name: answer[name] for name in _TOLD if answer.get(name)}
 
 
 def _limits(report: Report | None) -> dict[str, int]:

@@ -166,6 +166,7 @@ class LimitsFeature(Feature[None]):
         if found is not None and found.at_ns > self._record.at_ns and found.tightening.is_empty:
             log.warning("The limits were loosened by %s.", found.who)
             self._use(found)
+            self._host.events.uncalled.tell("loosen_limits", found.who, {})
             self._tell_modules()
         elif (
             found is None or found.tightening != self._record.tightening

@@ -57,8 +57,7 @@ _TEXTS: Mapping[ModuleKind, StartTexts] = {
         effect="Load a policy (a vision-language-action model or a classical one). With an "
         "instruction the robot moves at once. Needs start_perception; to move, also start_robot "
         "and start_control.",
-        proof="the policy receives its inputs and, if it has an instruction, has sent its first "
-        "action",
+        proof="it receives its inputs and, with an instruction, has sent its first action",
     ),
 }
 
@@ -124,10 +123,8 @@ def _set_instruction(loop: ClosedLoop) -> Tool:
         title="Tell the robot what to do",
         description=(
             "Give the running policy an instruction. Returns at its first action, not at the end "
-            "of the task; stop_inference ends the motion. If the policy cannot act on the "
-            "instruction, "
-            "the error says why "
-            "and nothing moves."
+            "of the task; stop_inference ends the motion. If it cannot act on it, the error says "
+            "why and nothing moves."
         ),
         arguments=SetInstruction,
         result=InstructionResult,
