@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+import threading
 from contextlib import ExitStack
 from urllib.error import HTTPError
 from urllib.request import Request, urlopen
@@ -18,6 +19,7 @@ from websockets.sync.client import connect
 from rn_standard.http.options import HttpOptions
 from rn_standard.http.tokens import TokenTable
 from rn_view.options import ViewOptions
+from rn_view.page.client_page import Page
 from rn_view.page.stop_bar import HEADER, STOP_PATH
 from rn_view.plugin import FEATURE
 from rn_view.web import view_server
@@ -132,6 +134,61 @@ def test_the_oldest_of_many_silent_sockets_gives_way(serve, monkeypatch):
             assert is_ended(one)
         for one in crowd[2:]:
             one.recv(timeout=20)
+
+
+def test_a_page_that_leaves_while_it_is_built_takes_no_place(serve, monkeypatch):
+    begun, may_go_on = threading.Event(), threading.Event()
+
+    class SlowPage(Page):
+        def __init__(self, *arguments):
+            begun.set()
+            assert may_go_on.wait(20.0)
+            super().__init__(*arguments)
+
+    monkeypatch.setattr(view_server, "Page", SlowPage)
+    viewer = serve(max_viewers=1)
+    left = PageClient(viewer.url)
+    assert begun.wait(20.0)
+    left.close()
+    wait_until(lambda: not viewer._server.get_clients())
+    may_go_on.set()
+    page = PageClient(viewer.url)
+    wait_until(lambda: "lift the" in page.text)
+    page.close()
+
+
+def test_a_page_that_is_built_slowly_is_not_silent(serve, monkeypatch):
+    class SlowPage(Page):
+        def __init__(self, *arguments):
+            silent.wait(20.0)
+            super().__init__(*arguments)
+
+    silent = threading.Event()
+    monkeypatch.setattr(view_server, "Page", SlowPage)
+    monkeypatch.setattr(view_server, "_SILENT_S", 0.5)
+    url = serve().url
+    page = PageClient(url)
+    with opened(url, origin=url) as other:
+        assert is_ended(other)
+    silent.set()
+    wait_until(lambda: "lift the" in page.text)
+    assert not page.is_closed
+    page.close()
+
+
+def test_a_page_that_cannot_be_built_connects_again(serve, monkeypatch):
+    class NoPage(Page):
+        def show(self, *arguments):
+            raise OSError("no more memory")
+
+    monkeypatch.setattr(view_server, "Page", NoPage)
+    url = serve().url
+    page = PageClient(url)
+    wait_until(lambda: page.is_closed)
+    monkeypatch.setattr(view_server, "Page", Page)
+    page = PageClient(url)
+    wait_until(lambda: "lift the" in page.text)
+    page.close()
 
 
 def test_pages_without_a_token_take_no_place_of_those_with_one(serve, monkeypatch):

@@ -34,8 +34,10 @@ from rn_view.web.visitors import Visitors
 log = logging.getLogger(__name__)
 _RIGHT_PX = 380
 _CONNECTIONS = 128
-_SILENT_S = 10.0
-"""Time limit for a new websocket to become a page; a browser takes 1 to 5 s."""
+_SILENT_S = 60.0
+"""Time limit for a new websocket to say where its camera is, and so to become a page. A browser
+takes 1 to 5 s, on a busy machine many times as long.
+"""
 _PROVED_S = 0.2
 """Interval of the pings to a page that leads."""
 _MOST_SILENT, _MOST_WAITING = 32, 32
@@ -184,20 +186,27 @@ class ViewServer:
         assert self._listener is not None
         self._listener.prove(found.remote_address[:2])
         self._visitors.connect(connection.client_id, found.request)
-        with self._lock:
-            silent = [number for number in live if number not in self._pages]
+        pages = self._server.get_clients()
+        silent = [number for number in live if number not in pages]
         for number in silent[:-_MOST_SILENT]:
             live[number].transport.abort()
         loop = asyncio.get_running_loop()
         loop.call_later(_SILENT_S, self._drop_silent, connection.client_id, found)
 
     def _drop_silent(self, number: int, connection: Any) -> None:
-        with self._lock:
-            is_page = number in self._pages
-        if not is_page:
+        server = self._server
+        if server is not None and number not in server.get_clients():
             connection.transport.abort()
 
     def _on_connect(self, client: viser.ClientHandle) -> None:
+        """Build the page of a client. If that fails, disconnect it: a browser connects again."""
+        try:
+            self._build(client)
+        except Exception:
+            log.exception("The page of client %d could not be built.", client.client_id)
+            self._abort(client.client_id)
+
+    def _build(self, client: viser.ClientHandle) -> None:
         page = Page(
             client,
             self._sources,
@@ -212,7 +221,11 @@ class ViewServer:
         page.width_px = self._visitors.width_px(client.client_id) or client.camera.image_width
         if self._visitors.wants_dark(client.client_id):
             _set_theme(client.gui, is_dark=True)
+        server = self._server
         with self._lock:
+            # Viser forgets a client before it calls _on_disconnect, which removes the page.
+            if server is None or client.client_id not in server.get_clients():
+                return
             self._pages[client.client_id] = page
             self._shown[page] = page.robot
             self._robot_pages[page.robot].add(page)
@@ -222,9 +235,7 @@ class ViewServer:
         self._begin(page)
 
     def _abort(self, number: int) -> None:
-        """Disconnect a page that shows only the stop, in favour of a newer one. It reconnects by
-        itself.
-        """
+        """Disconnect a page. It reconnects by itself."""
         server = self._server
         found = None if server is None else server._websock_server._live_connections.get(number)
         loop = None if server is None else server._websock_server._background_event_loop
