@@ -8,11 +8,14 @@ import urllib.request
 from collections.abc import Iterator
 
 import pytest
+from openpi_clients import SLACK_S, ask, open_client
 from policy_servers import RunningServer, robot_of
 from prometheus_client.parser import text_string_to_metric_families
+from websockets.exceptions import ConnectionClosed
 
 from rn_backend_openpi.metrics import MetricsEndpoint
 from rn_backend_openpi.plugin import SHARED
+from rn_backend_openpi.security import authorization
 from rn_backend_openpi.statistics import BOUNDS_S, Times
 from rn_testing.fakes.backend import make_observation
 from rn_testing.waiting import wait_until
@@ -70,6 +73,18 @@ def test_requests_times_and_robots_are_told_by_model(server: RunningServer) -> N
     assert whole > found(numbers, "model_seconds_sum", model="one") > 0.0
     assert found(numbers, "lost_total", model="one") == 0.0
     robot.close()
+
+
+def test_a_refused_request_is_no_lost_observation(server: RunningServer) -> None:
+    wait_until(lambda: timed(server) == {"one", "other"}, 60.0)
+    token = (server.folder / "token").read_text().strip()
+    headers = {"Authorization": authorization(token)}
+    with open_client(f"ws://{server.address}/other", additional_headers=headers) as client:
+        assert str(ask(client, b"\xc1")).startswith("ForeignDataError")
+        with pytest.raises(ConnectionClosed):
+            client.recv(timeout=SLACK_S)
+    wait_until(lambda: found(read(server), "robots") == 0.0, 20.0)
+    assert found(read(server), "lost_total", model="other") == 0.0
 
 
 def timed(server: RunningServer) -> set[str]:

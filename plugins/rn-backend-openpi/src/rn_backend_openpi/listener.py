@@ -141,17 +141,17 @@ class Piped(Connection):
 
     Attributes:
         other: takes what this one receives; None for messages as usual.
-        passed: called for each part that is handed on.
+        passed: called with each part that is handed on.
     """
 
     other: Connection | None = None
-    passed: Callable[[], object]
+    passed: Callable[[bytes], object]
 
     def data_received(self, data: bytes) -> None:
         if self.other is None:
             super().data_received(data)
             return
-        self.passed()
+        self.passed(data)
         self.other.transport.write(data)
 
     def pause_writing(self) -> None:

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from websockets import frames
 from websockets.asyncio.client import unix_connect
 from websockets.exceptions import ConnectionClosed
 from websockets.frames import CloseCode
@@ -31,15 +32,29 @@ class _Flow:
         self._note, self._asked_s = note, 0.0
         self.is_asked = False
 
-    def ask(self) -> None:
-        """Note a part of a request."""
+    def ask(self, part: bytes) -> None:
+        """Note a part of a request; the closing frame with which a client answers the server's is
+        none.
+        """
+        if _is_closing_frame(part):
+            return
         self.is_asked, self._asked_s = True, time.monotonic()
 
-    def answer(self) -> None:
+    def answer(self, part: bytes) -> None:
         """Note a part of an answer."""
         if self.is_asked:
             self._note(time.monotonic() - self._asked_s)
         self.is_asked = False
+
+
+def _is_closing_frame(part: bytes) -> bool:
+    """True for one whole closing frame of a client. Source: RFC 6455, 5.2 and 5.5.1."""
+    mask_size = 4
+    return (
+        len(part) >= 2
+        and part[0] == 0x80 | frames.OP_CLOSE
+        and len(part) == 2 + mask_size + (part[1] & 0x7F)
+    )
 
 
 async def reach(path: Path) -> PipedClient:
