@@ -87,7 +87,7 @@ def test_spans_come_to_a_collector_over_http():
             pass
 
     with HTTPServer(("127.0.0.1", 0), Collector) as server:
-        thread = threading.Thread(target=server.serve_forever)
+        thread = threading.Thread(target=server.serve_forever, args=(0.02,))
         thread.start()
         spans = Spans(otlp_exporter(f"http://127.0.0.1:{server.server_port}/v1/traces"))
         with spans.provider.get_tracer("x").start_as_current_span("tools/call wave"):

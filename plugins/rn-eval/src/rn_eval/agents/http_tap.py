@@ -82,7 +82,7 @@ class HttpTap:
         self._server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
         self._server.daemon_threads = True
         self._thread = threading.Thread(
-            target=self._server.serve_forever, name="http-tap", daemon=True
+            target=self._server.serve_forever, args=(0.02,), name="http-tap", daemon=True
         )
         self._thread.start()
 
