@@ -84,7 +84,17 @@ def goes_home_by_itself(self, call):
     call()
 
 
+def returns_by_itself(self, call):
+    """Moves back to where it was opened before it is closed, without a command of its own."""
+    if self._start:
+        home = dict(zip(self._profile.arm_joints, self._profile.home_rad.tolist(), strict=True))
+        self._move(self._positions(), self._positions() | home, 0.2)
+        time.sleep(0.25)
+    call()
+
+
 MUTANTS: dict[str, Mutant] = {
+    "driver_returns_on_close": but("close-stands-still", close=returns_by_itself),
     "driver_goes_home_on_close": but("close-stands-still", close=goes_home_by_itself),
     "driver_goes_home_when_it_is_closed": but("close-stands-still", close=goes_home),
     "driver_states_share_an_array": but("state-kept", read=shared_state),

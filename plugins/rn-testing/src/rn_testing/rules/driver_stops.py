@@ -201,7 +201,7 @@ def _check_close_still(case: RobotCase) -> None:
     with started(case, watched, lambda driver: driver.open()) as driver:
         start = arm_position(case, driver)
         with suppress(RoboNeuronError):  # it may refuse the step; away from where it began
-            driver.send(arm_command(case, shifted(case, start, case.step), 0.5))
+            driver.send(arm_command(case, shifted(case, start, 1), 0.5))
             holds_within(
                 lambda: _moved(case, driver, start) >= 0.5 * case.step and _stands(case, driver),
                 case.settle_s,
