@@ -70,6 +70,7 @@ class PolicyServer:
                     self.port,
                     compression=None,
                     max_size=None,
+                    close_timeout=0.2,  # robots read nothing while they wait for no answer
                     ssl=self.tls,
                 )
                 break

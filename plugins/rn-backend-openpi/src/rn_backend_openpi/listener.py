@@ -181,9 +181,16 @@ class CountedConnection(Piped, ServerConnection):
     owner: ClassVar[Listener]
     is_page = is_early = False
     _slow: asyncio.TimerHandle | None = None
+    _asked = b""
+    """What was received of its HTTP request."""
 
     def data_received(self, data: bytes) -> None:
-        self.is_early |= self.other is None and self.state is State.OPEN
+        if self.state is State.OPEN:
+            self.is_early |= self.other is None
+        elif self.state is State.CONNECTING and not self.is_early:
+            self._asked += data
+            _, _, beyond = self._asked.partition(b"\r\n\r\n")
+            self.is_early = bool(beyond)
         super().data_received(data)
 
     def pause_writing(self) -> None:
