@@ -103,6 +103,7 @@ def test_names_that_are_no_typing_error_are_not_suggested(typed: str, known: str
         ("driver", "ros2_control", "ros2-control"),
         ("name", "FR3", "fr3"),
         ("name", "my arm", "my-arm"),
+        ("driver", " oft_", "oft"),
         ("name", "9arm", None),
         ("name", "x" * 60 + "!", None),
     ],

@@ -213,7 +213,7 @@ def _misspelt(problem: Mapping[str, Any]) -> str:
     pattern, given = str(problem["ctx"]["pattern"]), str(problem["input"])[:_LONGEST_NAME]
     form = _FORMS.get(pattern, f"expected the form {pattern}")
     for mark in "-_":
-        spelling = re.sub(r"[\s_-]+", mark, given.strip().lower())
+        spelling = re.sub(r"[\s_-]+", mark, given.lower()).strip(mark)
         if re.fullmatch(pattern, spelling):
             return f"{form}. Did you mean {spelling!r}?"
     return f"{form}."
