@@ -115,6 +115,30 @@ def test_the_whole_command_that_releases_it_is_legible_and_names_the_machine(
     assert page.get_by_role("button", name="EMERGENCY STOP").evaluate(ON_TOP)
 
 
+BELOW = """() => {
+  const edge = (id, side) => document.getElementById(id).getBoundingClientRect()[side];
+  return Math.abs(edge("rn-strip", "top") - edge("rn-bar", "bottom")) < 1
+    && Math.abs(edge("root", "top") - edge("rn-strip", "bottom")) < 1;
+}"""
+"""Whether strip and page begin where what is above them ends. Heights are fractions of pixels."""
+
+
+@pytest.mark.parametrize("size", SIZES, ids=[f"{width}px" for width, _ in SIZES])
+def test_neither_bar_covers_what_is_below(
+    serve: Callable[..., ViewServer], sized: Callable[..., Any], size: tuple[int, int]
+) -> None:
+    page = sized(serve().url, size)
+    page.get_by_text("Instruction:").wait_for()
+    lead = page.get_by_role("button", name="Lead by hand")
+    lead.wait_for()
+    assert lead.evaluate(ON_TOP)
+    assert page.evaluate(BELOW)
+    page.get_by_role("button", name="EMERGENCY STOP").click()
+    page.locator("#rn-bar.latched").wait_for()
+    wait_until(lambda: page.evaluate(BELOW))
+    assert lead.evaluate(ON_TOP)
+
+
 def test_the_key_presses_it_from_a_field_too(
     serve: Callable[..., ViewServer], sized: Callable[..., Any], source: FakeSource
 ) -> None:
