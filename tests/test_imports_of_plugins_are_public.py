@@ -33,8 +33,8 @@ PUBLISHED = {
     "http": "addresses authentication bounded_server connections feature listener operator_lease "
     "options origins plugin tokens",
     "ops": "maintenance",
-    "tasks": "contract_cases guarded history hooks judging monitor moving pictures run_task runner "
-    "snapshot task_robot task_time",
+    "tasks": "contract_cases guarded history hooks judging monitor moving named_targets "
+    "pictures run_task runner snapshot task_robot task_time",
     "teleoperation": "contract_cases feature hooks rows samples",
 }
 """Modules of these packages that others may import."""

@@ -45,7 +45,8 @@ def limits(**values: Any) -> LimitsConfig:
 
 
 def places(config: LimitsConfig, start: Posture, end: Posture) -> list[tuple[str, str]]:
-    return list(TaskSpace(motion_rules(config, ROBOT)).places(start.pose, end, lambda: start))
+    found = TaskSpace(motion_rules(config, ROBOT)).places(start.pose, end, lambda: start)
+    return [(one.limit, one.reason) for one in found]
 
 
 INSIDE = (0.5, 0.0, 0.4)

@@ -37,7 +37,8 @@ def posture(*position_m: float, singular: float | None = None, **near_m: float) 
 
 
 def places(rules: MotionRules, start: Posture, end: Posture) -> list[tuple[str, str]]:
-    return list(TaskSpace(rules).places(start.pose, end, lambda: start))
+    found = TaskSpace(rules).places(start.pose, end, lambda: start)
+    return [(one.limit, one.reason) for one in found]
 
 
 def line(
@@ -243,8 +244,20 @@ def test_a_line_enters_a_zone_where_it_passes_within_it(
         tuple(np.array(start)[order]),
         tuple(np.array(end)[order]),
     )
-    reason = f"The TCP would enter 'vase' on its way to {np.array(end)[order].tolist()} m."
-    assert found == ([("zone", reason)] if is_broken else [])
+    assert [name for name, _ in found] == ["zone"] * is_broken
+    told = f"The TCP would enter 'vase' on its way to {np.array(end)[order].tolist()} m"
+    assert all(reason.startswith(told) for _, reason in found)
+
+
+def test_a_way_that_ends_in_a_zone_tells_how_deep() -> None:
+    rules, (low, high) = replace(RULES, zones=(ZONE,)), (ZONE.lower_m, ZONE.upper_m)
+    end = (low + high) / 2.0
+    end[0] = low[0] + 0.0123
+    start = end.copy()
+    start[0] = low[0] - 1.0
+    (found,) = TaskSpace(rules).places(pose(*start), posture(*end), lambda: posture(*start))
+    assert found.depth == pytest.approx(0.0123)
+    assert "13 mm deep" in found.reason
 
 
 def test_the_end_of_a_way_into_a_zone_is_given_in_tenths_of_a_millimetre() -> None:

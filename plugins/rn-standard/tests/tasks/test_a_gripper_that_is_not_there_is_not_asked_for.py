@@ -11,7 +11,8 @@ from typing import Any
 import anyio
 import pytest
 
-from rn_standard.tasks.moving import Mover, Places
+from rn_standard.tasks.moving import Mover
+from rn_standard.tasks.named_targets import Places
 from rn_standard.tasks.options import PlaceOptions, TaskOptions, TasksSections
 from rn_standard.tasks.run_task import RunTask, TaskTool
 from roboneuron import ArmProfile, GripperProfile, RobotProfile

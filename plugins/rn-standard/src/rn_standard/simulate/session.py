@@ -13,7 +13,8 @@ from rn_standard.simulate.arm import TwinArm
 from rn_standard.simulate.results import Outcome
 from rn_standard.simulate.task import run_in_twin
 from rn_standard.simulate.twin_process import TwinProcess
-from rn_standard.tasks.moving import Mover, MoveToArguments, Places
+from rn_standard.tasks.moving import Mover, MoveToArguments
+from rn_standard.tasks.named_targets import Places
 from rn_standard.tasks.run_task import RunTask, TaskTool
 from roboneuron import (
     F64,
@@ -30,7 +31,7 @@ from roboneuron import (
 from roboneuron.direct_path.joint_messages import joint_commands
 from roboneuron.feature import ExposedEndpoint, MotionRules, Stage, inspector_of, joint_space
 from roboneuron.gate.motion.joint_paths import check_joints
-from roboneuron.gate.motion.path_limits import PathLimiter
+from roboneuron.gate.motion.path_limits import Leg, PathLimiter
 from roboneuron.modules.arm_paths import ArmPaths
 from roboneuron.sight.looker import looker_of
 from roboneuron.tools.arm.ee_move import MoveEndEffector
@@ -270,25 +271,42 @@ class Session:
             raise NotReadyError("Only trajectories of this server's own arm can be simulated.")
         self._play(encode_step(interface, arguments.message, 0.0).message)
 
+    def check_path(self, steps: Sequence[Mapping[str, float]], context: CallContext) -> None:
+        """See `JudgesPath`; raises EndedError for a path that is refused."""
+        tool = self._host.tools.get("move_joints")
+        if tool is None:
+            return  # the call says so
+        mover = cast("JointMover", tool.handler)
+        try:
+            request = mover.path_request(steps, self.arm.joints(), context)
+        except RefusedError as error:
+            _refuse(error)
+        self._legs(request.messages)
+
     def _play(self, message: Any) -> None:
         """A joint trajectory: judged as the gate does, then played."""
-        joints = self.arm.joints()
-        limits = joint_space.JointLimit.by_joint(self._profile, self._rules)
-        try:
-            legs = check_joints(limits, list(joint_commands(message)), joints)
-            self._paths.check(legs, joints)
-        except RefusedError as error:
-            error.rule = error.rule or "joints"
-            _refuse(error)
+        legs = self._legs([message])
         if not self.arm.play(legs):
             reason = "The joints do not come to the end of the way."
             raise EndedError("blocked" if self._twin.moved() else "stopped", "path", reason)
 
+    def _legs(self, messages: Sequence[Any]) -> list[Leg]:
+        """The path of joint trajectories, judged as the gate does. Raises EndedError."""
+        joints = self.arm.joints()
+        limits = joint_space.JointLimit.by_joint(self._profile, self._rules)
+        commands = [command for message in messages for command in joint_commands(message)]
+        try:
+            legs = check_joints(limits, commands, joints)
+            self._paths.check(legs, joints)
+        except RefusedError as error:
+            error.rule = error.rule or "joints"
+            _refuse(error)
+        return legs
+
     def _move_to(self, arguments: MoveToArguments) -> None:
         tasks = self._host.features.loaded["tasks"]
-        mover = Mover(
-            self._host, Places(self._host, tasks.options), self._pose_now, self._call_by_name
-        )
+        places = Places(self._host, tasks.options)
+        mover = Mover(self._host, places, self._pose_now, self._call_by_name, judge=self)
         if arguments.name is not None:  # at the usual speed: a slower one takes the same path
             arguments = arguments.model_copy(update={"speed": 1.0})
         asyncio.run(_go(mover, arguments, cast("CallContext", _Inline(self._context))))

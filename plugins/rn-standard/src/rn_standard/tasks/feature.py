@@ -19,7 +19,8 @@ from rn_standard.tasks.hooks import MonitorSpec
 from rn_standard.tasks.journal import MotionJournal
 from rn_standard.tasks.lifecycle import list_models_tool, start_all_tool
 from rn_standard.tasks.move_to import MoveTo, move_to_subject, move_to_tool
-from rn_standard.tasks.moving import Mover, Places, check_places
+from rn_standard.tasks.moving import Mover
+from rn_standard.tasks.named_targets import Places, check_places
 from rn_standard.tasks.options import TasksSections
 from rn_standard.tasks.predicates import UNTIL
 from rn_standard.tasks.prompts import offer_prompts

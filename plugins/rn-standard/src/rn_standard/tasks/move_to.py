@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from rn_standard.tasks.moving import MovedTo, Mover, MoveToArguments, Places, PoseNow
+from rn_standard.tasks.moving import MovedTo, Mover, MoveToArguments, PoseNow
+from rn_standard.tasks.named_targets import Places
 from rn_standard.tasks.run_task import profile_of
 from roboneuron import (
     CallContext,

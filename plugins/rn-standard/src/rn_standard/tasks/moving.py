@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Awaitable, Callable, Mapping, Sequence
-from typing import Annotated, Any
+from typing import Annotated, Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from rn_standard.tasks.options import GestureOptions, PlaceOptions, PostureOptions, TasksSections
+from rn_standard.tasks.named_targets import Places
+from rn_standard.tasks.options import PlaceOptions
 from rn_standard.tasks.run_task import profile_of
 from roboneuron import (
     Arguments,
@@ -30,8 +30,6 @@ from roboneuron.tools.arm.absolute import go_to, wanted_rotation
 from roboneuron.tools.arm.grip import check_gripper
 from roboneuron.tools.arm.options import fastest
 
-HOME = "home"
-"""Name of the robot's own safe posture, unless configured otherwise."""
 _ABOVE_M = 0.10
 """Height of the TCP over the top of an object to which it moves."""
 F64 = NDArray[np.float64]
@@ -87,52 +85,12 @@ class MovedTo(Result):
     holding: bool | None = Field(default=None, description="it holds something; null: unknown")
 
 
-class Places:
-    """Named postures, gestures and places of move_to."""
+@runtime_checkable
+class JudgesPath(Protocol):
+    """A handler of move_joints that judges several of its calls before the first."""
 
-    def __init__(self, host: Host, options: TasksSections) -> None:
-        self._host = host
-        self._options = options
-
-    def postures(self) -> dict[str, PostureOptions]:
-        """Configured postures, and the robot's own home."""
-        profile = profile_of(self._host)
-        own: dict[str, PostureOptions] = {}
-        if profile is not None and profile.home_rad is not None:
-            joints = dict(zip(profile.arm_joints, profile.home_rad.tolist(), strict=True))
-            own[HOME] = PostureOptions(joints=joints, summary="the robot's own safe posture")
-        return own | self._options.postures
-
-    def gestures(self) -> dict[str, GestureOptions]:
-        """Configured gestures, and the robot's own."""
-        profile = profile_of(self._host)
-        own = {} if profile is None else profile.gestures
-        return {
-            name: GestureOptions(steps=tuple(map(dict, steps))) for name, steps in own.items()
-        } | self._options.gestures
-
-    def motions(self) -> dict[str, tuple[str, list[dict[str, float]]]]:
-        """Kind and steps, positions by joint, of each posture and gesture."""
-        gestures = {
-            name: ("gesture", list(gesture.steps) * gesture.times)
-            for name, gesture in self.gestures().items()
-        }
-        return gestures | {
-            name: ("posture", [posture.joints]) for name, posture in self.postures().items()
-        }
-
-    def places(self) -> Mapping[str, PlaceOptions]:
-        """Configured places."""
-        return self._options.places
-
-    def choices(self) -> dict[str, str]:
-        """Summary by name."""
-        named: dict[str, PostureOptions | GestureOptions | PlaceOptions] = {
-            **self.postures(),
-            **self.gestures(),
-            **self.places(),
-        }
-        return {name: one.summary for name, one in named.items()}
+    def check_path(self, steps: Sequence[Mapping[str, float]], context: CallContext) -> None:
+        """Raise RefusedError for positions that one of these calls may not reach; blocks."""
 
 
 class Mover:
@@ -141,18 +99,25 @@ class Mover:
     """
 
     def __init__(
-        self, host: Host, places: Places, pose_now: PoseNow, call: CallArm | None = None
+        self,
+        host: Host,
+        places: Places,
+        pose_now: PoseNow,
+        call: CallArm | None = None,
+        judge: JudgesPath | None = None,
     ) -> None:
         """Args:
         host: of the feature.
         places: those it knows.
         pose_now: tells where the arm is.
         call: what moves the arm instead of the tools.
+        judge: of its paths; the tool move_joints if None.
         """
         self._host = host
         self._places = places
         self._pose_now = pose_now
         self._call = call or self._call_tool
+        self._judge = judge
 
     async def __call__(self, name: str, context: CallContext, speed: float = 1.0) -> MovedTo:
         """Move to a named target, at a fraction of the usual speed.
@@ -186,16 +151,28 @@ class Mover:
         speed: float,
         context: CallContext,
     ) -> MovedTo:
-        """Move the joints through postures. Raises StateError after a stop on the way."""
+        """Move the joints through postures, of which all are judged before the first motion. Raises
+        StateError after a stop on the way.
+        """
         check = self._stop_check(name)
         took_s, error = 0.0, 0.0
-        for joints in steps:
+        tool = self._host.tools.get("move_joints")
+        judge = self._judge or (None if tool is None else tool.handler)
+        if len(steps) > 1 and isinstance(judge, JudgesPath):
+            await context.run(lambda _: judge.check_path(steps, context))
+        for number, joints in enumerate(steps):
             check()
             order: dict[str, object] = {"positions": dict(joints)}
-            if speed < 1:
-                usual = await self._call("move_joints", order, _Judged(context))
-                order["duration_s"] = usual["duration_s"] / speed
-            answer = await self._call("move_joints", order, context)
+            try:
+                if speed < 1:
+                    usual = await self._call("move_joints", order, _Judged(context))
+                    order["duration_s"] = usual["duration_s"] / speed
+                answer = await self._call("move_joints", order, context)
+            except RefusedError as refused:
+                if not number:
+                    raise
+                told = f"The arm stands after steps[{number - 1}] of {name!r}. {refused.message}"
+                raise RefusedError(told, hint=refused.hint, rule=refused.rule) from refused
             took_s, error = took_s + answer["duration_s"], answer["error"]
         return MovedTo(name=name, kind=kind, error=error, took_s=round(took_s, 3))
 
@@ -357,33 +334,6 @@ def _arms(host: Host) -> tuple[ArmProfile, ...]:
     """The arms of a robot with several."""
     profile = profile_of(host)
     return () if profile is None else profile.arms
-
-
-def check_places(options: TasksSections) -> None:
-    """Refuse ambiguous names, and orientations of zero length.
-
-    Raises:
-        InvalidInputError: names the entry.
-    """
-    kinds: dict[str, Mapping[str, object]] = {
-        "posture": options.postures,
-        "gesture": options.gestures,
-        "place": options.places,
-    }
-    seen: dict[str, str] = {}
-    for kind, names in kinds.items():
-        for name in names:
-            if name in seen:
-                raise InvalidInputError(f"{name!r} is a {seen[name]} and a {kind}.")
-            seen[name] = kind
-    for name in seen.keys() & {"hold", "stop"}:
-        raise InvalidInputError(f"{name!r} cannot be a name: run_task uses it for on_end.")
-    for name, place in options.places.items():
-        if (
-            place.quaternion_xyzw is not None
-            and not 0.5 < math.dist((0, 0, 0, 0), place.quaternion_xyzw) < 2.0
-        ):
-            raise InvalidInputError(f"The quaternion of the place {name!r} is not of unit length.")
 
 
 class _Judged:

@@ -62,9 +62,37 @@ def check_joints(
                 is_last=index + 1 == len(messages),
             )
         except RefusedError as error:
-            raise RefusedError(f"{step}{error.message}", hint=error.hint) from error
+            deepest = _farthest(limits, messages) if isinstance(error, _RangeError) else ""
+            raise RefusedError(f"{step}{error.message}{deepest}", hint=error.hint) from error
         legs += [replace(leg, where=f"{step}{leg.where}") for leg in made]
     return legs
+
+
+class _RangeError(RefusedError):
+    """A position is out of the range of its joint."""
+
+
+def _farthest(limits: Mapping[str, joint_space.JointLimit], messages: Sequence[Any]) -> str:
+    """The position that is farthest out of its joint's range, as the end of a message about the
+    first one; empty if it is that one.
+    """
+    found: list[tuple[float, str]] = []
+    for index, message in enumerate(messages):
+        step = f"steps[{index}]: " if len(messages) > 1 else ""
+        if hasattr(message, "points"):
+            rows = [(f"points[{n}]: ", one.positions) for n, one in enumerate(message.points)]
+            names = message.joint_names
+        else:
+            rows, names = [("", message.position)], message.name
+        for where, positions in rows:
+            for name, value in zip(names, positions, strict=False):
+                limit = limits.get(name)
+                if limit is not None and not limit.allows("position", value):
+                    beyond = max(limit.lower - value, value - limit.upper)
+                    depth = math.inf if math.isnan(beyond) else beyond
+                    found.append((depth, f"{step}{where}{name} at {value:.4g}"))
+    depth, told = max(found, key=lambda one: one[0])
+    return "" if told == found[0][1] else f" Deepest, by {depth:.4g}: {told}."
 
 
 class _JointMotion:
@@ -271,7 +299,8 @@ class _JointMotion:
                 limit = self._limits[name]
                 if not limit.allows(quantity, value):
                     low, high = limit.range(quantity)
-                    raise RefusedError(
+                    kind = _RangeError if quantity == "position" else RefusedError
+                    raise kind(
                         f"{where}{quantity} of {name} is {value:.4g}, allowed is {low:.4g} .. "
                         f"{high:.4g}."
                     )

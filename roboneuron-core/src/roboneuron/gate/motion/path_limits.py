@@ -4,6 +4,7 @@ rules.
 
 from __future__ import annotations
 
+import json
 import math
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -28,6 +29,10 @@ MAX_POSTURES = 20_000
 """Longest path [postures]; checking a longer one would take seconds."""
 _SLACK = 1e-6
 """Relative tolerance on a speed for rounding."""
+_LEAST = 1e-3
+"""Motion of a joint that is worth a call [rad or m]."""
+_BACK = 0.98
+"""Share of the path to the last allowed posture that a hint gives: its numbers are rounded."""
 
 
 class LimitError(RefusedError):
@@ -72,6 +77,41 @@ class _Passed(NamedTuple):
     arm: Callable[[int], Posture]
 
 
+class _Step(NamedTuple):
+    """Part of a path between two postures that are evaluated.
+
+    Attributes:
+        leg: the leg that it is part of.
+        number: of the leg, from 0.
+        begin: positions of all joints at the beginning of the leg, float64 (n,) [rad or m].
+        position: those at the beginning of the step.
+        names: of these joints.
+        before, there: the postures.
+        duration_s: time between them, 0 if unknown.
+    """
+
+    leg: Leg
+    number: int
+    begin: F64
+    position: F64
+    names: tuple[str, ...]
+    before: _Passed
+    there: Posture
+    duration_s: float
+
+
+class _Forbidden(NamedTuple):
+    """A place of a path that a limit forbids."""
+
+    step: _Step
+    violation: task_space.PlaceViolation
+
+    @property
+    def told(self) -> str:
+        """Where it is, and why."""
+        return f"{self.step.leg.where}{self.violation.reason}"
+
+
 def _passed(posture: Posture) -> _Passed:
     arms = posture.arms
     return _Passed(tuple(arm.pose for arm in arms), arms.__getitem__)
@@ -101,6 +141,7 @@ class PathLimiter:
         self._needs_distances = profile.collision is not None
         self._inspect, self._poses = inspect, poses
         self._reach = Reach(profile)
+        self._arms = [f"{arm.name}: " if arm.name else "" for arm in profile.each_arm]
         # for one posture: a short path need not wait for the end of a long one
         self._lock = threading.RLock()
         self.use(rules)
@@ -110,28 +151,46 @@ class PathLimiter:
         self._task = task_space.TaskSpace(rules)
 
     def check(self, legs: Iterable[Leg], joints: JointSample) -> None:
-        """Raise LimitError for the first limit that the path violates.
+        """Raise LimitError for the first limit that the path violates; of places it also tells the
+        deepest one, and how far the path is allowed.
 
         Args:
             legs: in their order.
             joints: measured state of every joint of the arm.
         """
         ratio, reason = 1.0, ""
-        for leg, times, told in self.speeds(legs, joints):
-            if times > ratio:
-                ratio, reason = times, f"{leg.where}{told}"
+        first: _Forbidden | None = None
+        deepest: _Forbidden | None = None
+        try:
+            with _judging():
+                for step in self._walk(legs, joints):
+                    for violation in self._violations(step):
+                        found = _Forbidden(step, violation)
+                        first = first or found
+                        if deepest is None or violation.depth > deepest.violation.depth:
+                            deepest = found
+                    for times, told in () if first else self._speeds(step):
+                        if times > ratio:
+                            ratio, reason = times, f"{step.leg.where}{told}"
+        except LimitError:
+            if first is None:
+                raise
+        if first is not None and deepest is not None:
+            raise _refusal(first, deepest)
         if reason:
             times = math.ceil((ratio - _SLACK) * 100.0) / 100.0
             raise LimitError("speed", reason, hint=f"Give it {times:g} times the time.")
 
     def speeds(self, legs: Iterable[Leg], joints: JointSample) -> Iterator[tuple[Leg, float, str]]:
         """Yield the ratios of the TCP's speeds along the path to their limits, those above 1, with
-        a text for each; raises LimitError for the first place that is forbidden.
+        a text for each; raises LimitError for the first place that is forbidden, at once.
         """
-        for leg, before, there, duration_s in self._walk_allowed(legs, joints):
-            for times, told in self._speeds(before, there, duration_s):
-                if times > 1.0 + _SLACK:
-                    yield leg, times, told
+        with _judging():
+            for step in self._walk(legs, joints):
+                for violation in self._violations(step):
+                    raise _refusal(_Forbidden(step, violation), _Forbidden(step, violation))
+                for times, told in self._speeds(step):
+                    yield step.leg, times, told
 
     def count(self, leg: Leg, before: Mapping[str, float]) -> int:
         """Number of postures on a leg from these positions, by joint."""
@@ -153,8 +212,10 @@ class PathLimiter:
         with _judging():
             target, _ = _target(leg, names, here)
             there = self._evaluate(names, target)
-        for arm in there.arms:
-            self._check_place(leg, arm.pose, arm, partial(_given, arm), "target")
+        for number, arm in enumerate(there.arms):
+            for violation in self._places(number, arm.pose, arm, partial(_given, arm)):
+                reason = f"{leg.where}{violation.reason}"
+                raise LimitError(violation.limit, reason, hint="Choose another target.")
         return there
 
     def posture(self, joints: JointSample) -> Posture:
@@ -167,60 +228,42 @@ class PathLimiter:
         limits.
         """
         with _judging():
-            steps = self._walk(legs, joints)
-            return max(
-                [
-                    1.0,
-                    *(
-                        times
-                        for _, a, b, duration_s in steps
-                        for times, _ in self._speeds(a, b, duration_s)
-                    ),
-                ]
-            )
+            ratios = [times for step in self._walk(legs, joints) for times, _ in self._speeds(step)]
+        return max([1.0, *ratios])
 
-    def _walk_allowed(
-        self, legs: Iterable[Leg], joints: JointSample
-    ) -> Iterator[tuple[Leg, _Passed, Posture, float]]:
-        """As `_walk`; raises LimitError for the first place that is forbidden."""
-        with _judging():
-            for leg, before, there, duration_s in self._walk(legs, joints):
-                for number, (start, end) in enumerate(zip(before.poses, there.arms, strict=True)):
-                    self._check_place(
-                        leg, start, end, partial(before.arm, number), "path or target"
-                    )
-                yield leg, before, there, duration_s
+    def _violations(self, step: _Step) -> Iterator[task_space.PlaceViolation]:
+        """Limits of place that a step violates."""
+        for number, (start, end) in enumerate(zip(step.before.poses, step.there.arms, strict=True)):
+            yield from self._places(number, start, end, partial(step.before.arm, number))
 
-    def _check_place(
-        self, leg: Leg, start: Pose, end: Posture, evaluate_start: Callable[[], Posture], what: str
-    ) -> None:
-        """Raise LimitError if the end of a step, or the line to it, is forbidden."""
+    def _places(
+        self, number: int, start: Pose, end: Posture, evaluate_start: Callable[[], Posture]
+    ) -> list[task_space.PlaceViolation]:
+        """Limits that the end of a step, or the line to it, violates, for one arm."""
         with self._lock:  # a posture may compute where its links are when it is asked
-            for name, told in self._task.places(start, end, evaluate_start):
-                if name != "singularity":
-                    raise LimitError(name, f"{leg.where}{told}", hint=f"Choose another {what}.")
+            return [
+                one._replace(reason=f"{self._arms[number]}{one.reason}")
+                for one in self._task.places(start, end, evaluate_start)
+                if one.limit != "singularity"
+            ]
 
-    def _speeds(
-        self, before: _Passed, there: Posture, duration_s: float
-    ) -> Iterator[tuple[float, str]]:
-        """Ratios of the TCP's speeds between two postures to their limits, with a text for each."""
-        if not duration_s:
+    def _speeds(self, step: _Step) -> Iterator[tuple[float, str]]:
+        """Ratios above 1 of the TCP's speeds between two postures to their limits, with a text for
+        each.
+        """
+        if not step.duration_s:
             return
-        for start, end in zip(before.poses, there.arms, strict=True):
-            motion = self._task.motion(start, start, end, duration_s, 0.0)
-            yield from (
-                (times, reason)
-                for name, times, reason in self._task.excess(motion)
-                if name == "speed"
-            )
+        for start, end in zip(step.before.poses, step.there.arms, strict=True):
+            motion = self._task.motion(start, start, end, step.duration_s, 0.0)
+            for name, times, reason in self._task.excess(motion):
+                if name == "speed" and times > 1.0 + _SLACK:
+                    yield times, reason
 
-    def _walk(
-        self, legs: Iterable[Leg], joints: JointSample
-    ) -> Iterator[tuple[Leg, _Passed, Posture, float]]:
-        """Yield consecutive postures on the legs, and the time between them [s], 0 if unknown."""
+    def _walk(self, legs: Iterable[Leg], joints: JointSample) -> Iterator[_Step]:
+        """Yield the steps of the legs, between consecutive postures."""
         names, here = _finite(joints)
         velocity, left, start = np.zeros_like(here), MAX_POSTURES, self._start(names, here)
-        for leg in legs:
+        for index, leg in enumerate(legs):
             target, end_velocity = _target(leg, names, here)
             change, duration_s = target - here, leg.duration_s or 0.0
             bends: list[tuple[F64, F64] | None] = [None]
@@ -240,11 +283,11 @@ class PathLimiter:
                         "The path is too long to be checked.",
                         hint="Send it in several calls.",
                     )
-                before = start
+                before, passed = start, here
                 for position in postures(here, change, count, bend):
-                    there = self._evaluate(names, position)
-                    yield leg, before, there, duration_s / count
-                    before = _passed(there)
+                    there, time_s = self._evaluate(names, position), duration_s / count
+                    yield _Step(leg, index, here, passed, names, before, there, time_s)
+                    before, passed = _passed(there), position
             here, velocity, start = target, end_velocity, before
 
     def _start(self, names: tuple[str, ...], position: F64) -> _Passed:
@@ -263,6 +306,35 @@ class PathLimiter:
                 "the controller reports no distances between links; see limits.collision"
             )
         return posture
+
+
+def _refusal(first: _Forbidden, deepest: _Forbidden) -> LimitError:
+    """The error for a path: where it is first forbidden, where it is deepest, and the part that is
+    allowed.
+    """
+    message, depth_mm = first.told, task_space.whole_mm(deepest.violation.depth)
+    if deepest.step is not first.step:
+        message = f"{message} Deepest, by {depth_mm} mm: {deepest.told}"
+    return LimitError(
+        first.violation.limit,
+        message,
+        hint=f"Choose another path or target. {_allowed_part(first.step)}",
+    )
+
+
+def _allowed_part(step: _Step) -> str:
+    """What of a path comes before its first forbidden step, as a call if it is on its first leg."""
+    leg = step.leg
+    if step.number:
+        return f"What comes before {leg.where.removesuffix(': ') or 'this part'} is allowed."
+    begin = dict(zip(step.names, step.begin.tolist(), strict=True))
+    last = dict(zip(step.names, step.position.tolist(), strict=True))
+    positions = {
+        name: round(begin[name] + _BACK * (last[name] - begin[name]), 4) for name in leg.names
+    }
+    if all(abs(positions[name] - begin[name]) < _LEAST for name in leg.names):
+        return "Not even its beginning is allowed."
+    return f"Allowed that way: move_joints {json.dumps({'positions': positions})}"
 
 
 @contextmanager

@@ -14,7 +14,7 @@ from roboneuron.gate.motion.command import Step
 from roboneuron.gate.motion.joint_space import JointLimit, JointSpace
 from roboneuron.gate.motion.path import Reach, postures
 from roboneuron.gate.motion.rules import MotionRules
-from roboneuron.gate.motion.task_space import Motion, TaskSpace, largest
+from roboneuron.gate.motion.task_space import Motion, PlaceViolation, TaskSpace, largest
 
 _HALVINGS = 6
 """Bisections when a step is shortened to avoid a zone: to 1/64 of the step."""
@@ -113,7 +113,7 @@ class Shortener:
                 )
             for name, _, reason in self._task.excess(sent):
                 raise Rejection(name, reason)
-            for name, reason in self._cartesian_violations(step, measured, target):
+            for name, reason, _ in self._cartesian_violations(step, measured, target):
                 raise Rejection(name, reason)
         if self._extend(step, measured, target):
             sent = largest(self._motions(step, measured, start, target))
@@ -206,8 +206,8 @@ class Shortener:
         violations = list(self._cartesian_violations(step, measured, target))
         if not violations:
             return target
-        for name, reason in violations:
-            self._act(step, name, reason)
+        for found in violations:
+            self._act(step, found.limit, found.reason)
         good, bad, displacement = 0.0, 1.0, step.target - step.start
         for _ in range(_HALVINGS):
             middle = (good + bad) / 2.0
@@ -222,17 +222,16 @@ class Shortener:
 
     def _cartesian_violations(
         self, step: Step, measured: tuple[Pose, ...], target: Posture
-    ) -> Iterator[tuple[str, str]]:
-        """Cartesian limits that the path from the measured posture to the step's target violates:
-        name, reason.
-        """
+    ) -> Iterator[PlaceViolation]:
+        """Cartesian limits that the path from the measured posture to a step's target violates."""
 
         def evaluate_start(number: int = 0) -> Posture:
             return self._evaluate(step, step.measured).arms[number]
 
         for number, (pose, end) in enumerate(zip(measured, target.arms, strict=True)):
-            for name, reason in self._task.places(pose, end, partial(evaluate_start, number)):
-                yield name, reason if name == "collision" else f"{self._arms[number]}{reason}"
+            for found in self._task.places(pose, end, partial(evaluate_start, number)):
+                arm = "" if found.limit == "collision" else self._arms[number]
+                yield found._replace(reason=f"{arm}{found.reason}")
         if self._profile.collision is None and not self._task.judges_links:
             return
         displacement = step.target - step.measured

@@ -7,12 +7,28 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from roboneuron.contract import F64, Obstacle, Pose, Posture
 from roboneuron.errors import UnsafeError
-from roboneuron.gate.motion.rules import MotionRules
+from roboneuron.gate.motion.rules import MotionRules, faces
+
+
+class PlaceViolation(NamedTuple):
+    """A limit of place or posture that a path violates.
+
+    Attributes:
+        limit: its name, from `LIMITS`.
+        reason: sentence with the numbers.
+        depth: how far beyond the limit its end is [m; of "singularity": of the singular value]; 0
+            if only the line to it is.
+    """
+
+    limit: str
+    reason: str
+    depth: float
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -114,8 +130,8 @@ class TaskSpace:
 
     def places(
         self, start: Pose, end: Posture, evaluate_start: Callable[[], Posture]
-    ) -> Iterator[tuple[str, str]]:
-        """Limits of place and posture that the path between two postures violates: name, reason.
+    ) -> Iterator[PlaceViolation]:
+        """Limits of place and posture that the path between two postures violates.
 
         Args:
             start: TCP at the start of the path.
@@ -129,31 +145,38 @@ class TaskSpace:
         outside = _depth_outside_m(end_m, rules.lower_m, rules.upper_m)
         if _is_worse(outside, _depth_outside_m(start_m, rules.lower_m, rules.upper_m)):
             at = np.round(end_m, 4).tolist()
-            yield "workspace", f"The TCP would be {outside:.4f} m outside the workspace, at {at} m."
-        if _is_worse(rules.min_height_m - end_m[2], rules.min_height_m - start_m[2]):
-            yield (
-                "height",
-                f"The TCP would be at a height of {end_m[2]:.4f} m, allowed is "
-                f"{rules.min_height_m:g} m.",
+            edges = " and ".join(
+                face.name
+                for _, face in faces(rules.lower_m, rules.upper_m, None)
+                if _depth_outside_m(end_m, face.lower_m, face.upper_m) < 0.0
             )
+            where = f"outside the workspace, at {at} m; allowed is {edges or 'less'}."
+            yield PlaceViolation("workspace", f"The TCP would be {outside:.4f} m {where}", outside)
+        too_low_m = float(rules.min_height_m - end_m[2])
+        if _is_worse(too_low_m, rules.min_height_m - start_m[2]):
+            reason = f"a height of {end_m[2]:.4f} m, allowed is {rules.min_height_m:g} m."
+            yield PlaceViolation("height", f"The TCP would be at {reason}", too_low_m)
         for zone in rules.zones:
             if _breaks_zone(zone, start_m, end_m):
                 at = np.round(end_m, 4).tolist()
-                yield "zone", f"The TCP would enter {zone.name!r} on its way to {at} m."
+                depth_m = max(0.0, -_depth_outside_m(end_m, zone.lower_m, zone.upper_m))
+                deep = f", {whole_mm(depth_m)} mm deep." if depth_m else "."
+                reason = f"The TCP would enter {zone.name!r} on its way to {at} m{deep}"
+                yield PlaceViolation("zone", reason, depth_m)
         least, singular = rules.min_singular_value, end.smallest_singular_value
         if singular is not None and singular < least:
             before = evaluate_start().smallest_singular_value or 0.0
             if _is_worse(least - singular, least - before):
-                yield (
-                    "singularity",
-                    f"The smallest singular value would be {singular:.4f}, allowed is {least:g}.",
+                reason = (
+                    f"The smallest singular value would be {singular:.4f}, allowed is {least:g}."
                 )
+                yield PlaceViolation("singularity", reason, least - singular)
         yield from self.links(end, evaluate_start)
 
     def links(
         self, end: Posture, evaluate_start: Callable[[], Posture]
-    ) -> Iterator[tuple[str, str]]:
-        """Limits that the links violate in a posture: name, reason; arguments as of `places`."""
+    ) -> Iterator[PlaceViolation]:
+        """Limits that the links violate in a posture; arguments as of `places`."""
         yield from self._collisions(end, evaluate_start)
         if not self._rules.arm_zones:
             return
@@ -167,7 +190,8 @@ class TaskSpace:
                 continue
             is_face = " <= " in name or " >= " in name
             where = f"beyond {name}" if is_face else f"in {name!r}"
-            yield limit, f"{link} would be {math.ceil(depth_m * 1e3)} mm {where}."
+            reason = f"{link} would be {whole_mm(depth_m)} mm {where}."
+            yield PlaceViolation(limit, reason, depth_m)
 
     def protrusions(self, posture: Posture) -> dict[tuple[str, str], tuple[str, float]]:
         """How deep [m] each link is in each zone of the whole arm, and the name of the limit, by
@@ -201,7 +225,7 @@ class TaskSpace:
 
     def _collisions(
         self, end: Posture, evaluate_start: Callable[[], Posture]
-    ) -> Iterator[tuple[str, str]]:
+    ) -> Iterator[PlaceViolation]:
         """Pairs of bodies that are too close in a posture and not farther apart than at the start
         of the path; arguments as of `places`.
         """
@@ -212,11 +236,16 @@ class TaskSpace:
         }
         for pair in end.near:
             if pair.distance_m <= start_distances_m.get((pair.first, pair.second), pair.least_m):
-                apart = (
-                    f"{pair.distance_m * 1e3:.1f} mm apart, at least {pair.least_m * 1e3:g} "
-                    "mm are required."
+                reason = (
+                    f"{pair.first} and {pair.second} would be {pair.distance_m * 1e3:.1f} mm "
+                    f"apart, at least {pair.least_m * 1e3:g} mm are required."
                 )
-                yield "collision", f"{pair.first} and {pair.second} would be {apart}"
+                yield PlaceViolation("collision", reason, pair.least_m - pair.distance_m)
+
+
+def whole_mm(depth_m: float) -> int:
+    """A depth [mm], rounded up but for a micrometre."""
+    return math.ceil(round(depth_m * 1e3, 3))
 
 
 def distance_m(start: Pose, end: Pose) -> float:

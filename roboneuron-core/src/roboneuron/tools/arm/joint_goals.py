@@ -1,4 +1,4 @@
-"""Goals of joints: their range, the turns they are reached in, and the trajectory there."""
+"""Goals of joints: their range, turns, and time, and the trajectory there."""
 
 from __future__ import annotations
 
@@ -7,9 +7,14 @@ from collections.abc import Mapping
 
 from roboneuron.contract import JointSample
 from roboneuron.gate.motion import joint_space
+from roboneuron.gate.motion.speeds import shortest_s
 from roboneuron.tools.arm.joint_rest import position_of
 
 Limits = Mapping[str, joint_space.JointLimit]
+_EASY, _EASY_ACCELERATION = 0.4, 0.5
+"""Fractions of the velocity and acceleration limits used by a move without a given duration."""
+_NEARLY = 0.95
+"""Fraction of a joint's permitted velocity this close to its limit."""
 
 
 def schema_of(limit: joint_space.JointLimit) -> dict[str, object]:
@@ -27,6 +32,19 @@ def nearest_goals(
     return {
         name: limits[name].nearest(position_of(joints, name), goal) for name, goal in goals.items()
     }
+
+
+def easy_s(goals: Mapping[str, float], joints: JointSample, limits: Limits) -> float:
+    """Duration [s] at which every joint uses at most a fraction of its velocity limit. Raises
+    NotReadyError.
+    """
+    needed = [0.5]
+    for name, goal in goals.items():
+        limit, start = limits[name], position_of(joints, name)
+        distance, fastest = abs(goal - start), limit.fastest(goal, goal > start)
+        needed.append(distance / min(_EASY * limit.velocity, _NEARLY * fastest or limit.velocity))
+        needed.append(shortest_s(distance, _EASY_ACCELERATION * limit.acceleration))
+    return max(needed)
 
 
 def trajectory_to(

@@ -7,9 +7,10 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
+import numpy as np
 from pydantic import Field
 from pydantic.json_schema import JsonSchemaValue
 
@@ -17,30 +18,25 @@ from roboneuron.contract import JointSample
 from roboneuron.direct_path.delivery import TRAJECTORY
 from roboneuron.direct_path.derived import Derived
 from roboneuron.direct_path.exposed import gate_request
-from roboneuron.errors import InvalidInputError, NotReadyError, StateError
+from roboneuron.errors import InvalidInputError, NotReadyError, RefusedError, StateError
 from roboneuron.gate.motion import joint_space
 from roboneuron.gate.motion.path_watch import SILENCE_S
-from roboneuron.gate.motion.speeds import shortest_s
 from roboneuron.server.host import Host
 from roboneuron.server.motion_gate import ExposedEndpoint, GateRequest, MotionGate, TimedCommand
 from roboneuron.server.tool import Arguments, CallContext, Result, Tool
 from roboneuron.supervisor.changes import Stage
 from roboneuron.tools.arm.grip import Grip, is_lost
-from roboneuron.tools.arm.joint_goals import nearest_goals, schema_of, trajectory_to
+from roboneuron.tools.arm.joint_goals import easy_s, nearest_goals, schema_of, trajectory_to
 from roboneuron.tools.arm.joint_rest import JointRest, position_of
 from roboneuron.tools.arm.progress import MotionProgress
 
 __all__ = ["JointMover", "MoveJoints"]
 """Names that other distributions may use."""
 
-_EASY, _EASY_ACCELERATION = 0.4, 0.5
-"""Fractions of the velocity and acceleration limits used by a move without a given duration."""
 _EASIER = 1.04
 """Reserve under a limit that a move without a given duration would exceed: an arm is measured a
 little faster than its path is planned.
 """
-_NEARLY = 0.95
-"""Fraction of a joint's permitted velocity this close to its limit."""
 _LOOK_S, _SETTLE_S = 0.02, 3.0
 """Period of the measurements of a motion, and how long after its duration it may come no nearer."""
 _MEASURED_S = 2.0
@@ -219,7 +215,7 @@ class JointMover:
             nearest_goals(arguments.positions, joints, self._limits),
             arguments.duration_s,
         )
-        duration_s = asked_s or self._easy_s(target, joints)
+        duration_s = asked_s or easy_s(target, joints, self._limits)
         request = gate_request(
             context,
             "move_joints",
@@ -235,6 +231,44 @@ class JointMover:
             )
         return request, duration_s
 
+    def check_path(self, steps: Sequence[Mapping[str, float]], context: CallContext) -> None:
+        """Raise RefusedError unless calls with these positions, one after the other from where the
+        arm stands now, would be allowed; blocks, and moves nothing.
+
+        Raises:
+            InvalidInputError: a joint does not have such a position.
+            NotReadyError: the joints are not measured.
+        """
+        for positions in steps:
+            self.check(MoveJoints(positions=dict(positions)))
+        joints = self._gate.joints(self._exposed, _MEASURED_S)
+        if joints is None:
+            raise self._unmeasured()
+        request = replace(self.path_request(steps, joints, context), simulated=True)
+        verdict = self._gate.ask(self._exposed, request)
+        if not verdict.allowed:
+            raise RefusedError(f"Nothing has moved. {verdict.reason}", rule=verdict.rule)
+
+    def path_request(
+        self, steps: Sequence[Mapping[str, float]], joints: JointSample, context: CallContext
+    ) -> GateRequest:
+        """What the gate is asked for such calls together, from `joints` on. Raises as `request`."""
+        messages: list[object] = []
+        send_at_s, at_s, begin = list[float](), 0.0, joints
+        for positions in steps:
+            move = MoveJoints(positions=dict(positions))
+            part, duration_s = self.request(move, joints, context)
+            messages += part.messages
+            send_at_s.append(at_s)
+            at_s += duration_s
+            there = nearest_goals(positions, joints, self._limits)
+            position = [
+                there.get(name, at)
+                for name, at in zip(joints.names, joints.position.tolist(), strict=True)
+            ]
+            joints = JointSample(names=joints.names, position=np.array(position))
+        return replace(part, messages=tuple(messages), send_at_s=tuple(send_at_s), joints=begin)
+
     def _unmeasured(self) -> NotReadyError:
         """Create the error for missing joints: the robot is not running, or its states do not
         arrive.
@@ -246,18 +280,6 @@ class JointMover:
             f"The robot runs, but no joint state came within {_MEASURED_S:g} s; nothing was sent.",
             hint="The machine may be overloaded: see get_status, and call again.",
         )
-
-    def _easy_s(self, target: Mapping[str, float], joints: JointSample) -> float:
-        """Duration at which every joint uses at most a fraction of its velocity limit."""
-        needed = [0.5]
-        for name, value in target.items():
-            limit, start = self._limits[name], position_of(joints, name)
-            distance, fastest = abs(value - start), limit.fastest(value, value > start)
-            needed.append(
-                distance / min(_EASY * limit.velocity, _NEARLY * fastest or limit.velocity)
-            )
-            needed.append(shortest_s(distance, _EASY_ACCELERATION * limit.acceleration))
-        return max(needed)
 
     def _is_there(self, target: Mapping[str, float], joints: JointSample) -> bool:
         profile = self._profile
