@@ -27,7 +27,6 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -38,10 +37,9 @@ from rn_backend_openpi.serve_command import name_of
 from rn_backend_openpi.shared_backend import SharedBackend
 from rn_backend_openpi.shared_options import SharedOptions
 from rn_backend_openpi.status_page import ask_status
-from rn_link.certificates import new_key, read_certificate
-from rn_link.machine import Machine, Peer, read_machine
+from rn_link.keys import add_peer, make_machine, new_identity
+from rn_link.machine import Machine, Peer, Role, read_machine
 from rn_link.tls import tls_context
-from rn_link_pairing.keeping import add_member, become_hub, become_member
 from rn_testing.fakes.backend import make_observation
 from rn_testing.fakes.site import PluginSite
 from rn_testing.waiting import wait_until
@@ -111,11 +109,11 @@ Ask = Callable[[], object]
 def pair(folder: Path) -> None:
     """Create the state directories `robot` and `gpu` of two paired machines."""
     hub, member = (folder / name / "roboneuron" / "link" for name in ("robot", "gpu"))
-    become_hub(hub, "robot", datetime.now(UTC), 365)
-    key = new_key()
-    shown = add_member(hub, "gpu", Peer("127.0.0.1"), key.public_key(), datetime.now(UTC), 365)
-    machine = Machine(name="gpu", role="member", peers={"robot": Peer("127.0.0.1")})
-    become_member(member, machine, key, shown, read_certificate(hub / "ca.pem"))
+    roles: tuple[tuple[Path, str, Role], ...] = ((hub, "robot", "hub"), (member, "gpu", "member"))
+    for link, name, role in roles:
+        make_machine(link, Machine(name=name, role=role), new_identity())
+    add_peer(hub, "gpu", Peer("127.0.0.1"), (member / "own.pem").read_bytes())
+    add_peer(member, "robot", Peer("127.0.0.1"), (hub / "own.pem").read_bytes())
 
 
 def cpu_s(pids: Sequence[int]) -> float:

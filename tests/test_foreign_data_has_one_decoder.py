@@ -42,7 +42,6 @@ TRUSTED = {
     "rn-testing/src/rn_testing/check.py": OWN_PARENT,
     "rn-testing/src/rn_testing/plugin_check.py": OWN_PROGRAM,
     "rn-testing/src/rn_testing/distribution.py": OWN_PROGRAM,
-    "rn-link/src/rn_link_pairing/command.py": "text that the line before has encoded",
     "rn-standard/src/rn_standard/doctor/installations.py": OWN_PROGRAM,
     "rn-standard/src/rn_standard/http/sessions.py": MCP,
     "rn-standard/src/rn_standard/http/middleware.py": MCP,

@@ -20,8 +20,8 @@ import pytest
 
 from rn_interfaces.store import Origin
 from rn_interfaces_learning.command import list_learnt
+from rn_link.command import spoken
 from rn_link.state import PeerConnection
-from rn_link_pairing.command import spoken
 from rn_recorder_runs.listing import list_runs
 from rn_recorder_runs.store import RunStore
 from rn_standard.console.plugins_list import print_short, print_table

@@ -25,8 +25,7 @@ from rn_backend_openpi.introduction import to_profile
 from rn_backend_openpi.session import Welcome
 from rn_eval import wire as eval_wire
 from rn_link import rtps
-from rn_link_pairing.pake import PairingError
-from rn_link_pairing.wire import parse
+from rn_link.pairing import PairingError, parse
 from rn_recorder_runs.action_labels import label_of
 from rn_recorder_runs.episodes import stamp_of
 from rn_recorder_runs.images import to_jpeg

@@ -16,13 +16,13 @@ import tempfile
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from link_machines import Machine
+from link_pairs import admit, make_hub
 
 from rn_backend_openpi.plugin import SHARED
 from rn_backend_openpi.serve_command import name_of
@@ -30,10 +30,7 @@ from rn_backend_openpi.shared_backend import SharedBackend
 from rn_backend_openpi.shared_case import install, options_in
 from rn_backend_openpi.shared_options import SharedOptions
 from rn_backend_openpi.status_page import ask_status
-from rn_link.certificates import new_key, read_certificate
-from rn_link.machine import PORT, Peer
-from rn_link.machine import Machine as LinkMachine
-from rn_link_pairing.keeping import add_member, become_hub, become_member
+from rn_link.machine import Peer
 from rn_testing.fakes.backend import make_observation
 from rn_testing.waiting import wait_until
 from roboneuron import NotReadyError, Observation
@@ -57,13 +54,9 @@ def link_of(state: Path) -> Path:
 
 def pair(hub: Path, member: Path, *, name: str = "gpu", address: str = "127.0.0.1") -> None:
     """Pair two state directories."""
-    folder = link_of(hub)
-    if not (folder / "link.json").exists():
-        become_hub(folder, "robot", datetime.now(UTC), 365)
-    key = new_key()
-    shown = add_member(folder, name, Peer(address), key.public_key(), datetime.now(UTC), 365)
-    machine = LinkMachine(name=name, role="member", peers={"robot": Peer(address, PORT)})
-    become_member(link_of(member), machine, key, shown, read_certificate(folder / "ca.pem"))
+    if not link_of(hub).exists():
+        make_hub(link_of(hub))
+    admit(link_of(hub), link_of(member), name, Peer(address))
 
 
 def _toml(value: object) -> str:

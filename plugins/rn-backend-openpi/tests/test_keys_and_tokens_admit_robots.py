@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
@@ -18,8 +17,7 @@ from policy_servers import (
 
 from rn_backend_openpi.security import Guard, place_of
 from rn_backend_openpi.shared_options import ListenOptions, SharedOptions
-from rn_link.certificates import issue, key_to_pem, new_issuer, new_key, to_pem, write_private
-from rn_link_pairing.keeping import remove_peer
+from rn_link.keys import new_identity, remove_peer, write_private
 from rn_testing.waiting import wait_until
 from roboneuron import (
     ConfigurationError,
@@ -122,15 +120,10 @@ def test_machines_that_are_not_paired_are_told_to_pair(
 def test_a_token_goes_over_tls_where_the_servers_certificate_is_known(
     serve: Serve, robot: Robot, tmp_path: Path
 ) -> None:
-    issuer = new_issuer("server", datetime.now(UTC))
-    key = new_key()
-    shown = issue(issuer, "server", "member", key.public_key(), datetime.now(UTC), 30)
-    write_private(tmp_path / "server.pem", to_pem(shown))
-    write_private(tmp_path / "server.key", key_to_pem(key))
-    write_private(tmp_path / "ca.pem", to_pem(issuer.certificate))
-    write_private(
-        tmp_path / "other.pem", to_pem(new_issuer("other", datetime.now(UTC)).certificate)
-    )
+    identity = new_identity()
+    write_private(tmp_path / "server.pem", identity.certificate)
+    write_private(tmp_path / "server.key", identity.key)
+    write_private(tmp_path / "other.pem", new_identity().certificate)
     server = serve(
         keys="token",
         host="0.0.0.0",
@@ -138,7 +131,7 @@ def test_a_token_goes_over_tls_where_the_servers_certificate_is_known(
         key=str(tmp_path / "server.key"),
     )
     options = {"token_file": str(tmp_path / "token"), "coding": "raw"}
-    assert answers(robot(server.address, ca=str(tmp_path / "ca.pem"), **options))
+    assert answers(robot(server.address, ca=str(tmp_path / "server.pem"), **options))
     with pytest.raises(ConfigurationError, match="not trusted"):
         robot(server.address, ca=str(tmp_path / "other.pem"), **options)
     with pytest.raises(NotReadyError, match="closed the connection without an answer"):

@@ -2,31 +2,54 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime, timedelta
+from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
-from link_machines import Machine as Namespace
-
-from rn_link.certificates import new_key, read_certificate
-from rn_link.machine import PORT, Machine, Peer
-from rn_link_pairing.keeping import add_member, become_hub, become_member
+from rn_link.keys import add_peer, make_machine, new_identity, remove_all, remove_peer
+from rn_link.machine import Machine, Peer
+from roboneuron import ConfigurationError
 
 
-def pair(hub: Namespace, member: Namespace) -> None:
+class Paired(Protocol):
+    """A machine of `link_machines`, or a folder alone."""
+
+    name: str
+    address: str
+
+    @property
+    def link(self) -> Path:
+        """Folder of its link."""
+
+
+@dataclass
+class Place:
+    """A machine without a namespace."""
+
+    name: str
+    link: Path
+    address: str = "127.0.0.1"
+
+
+def make_hub(folder: Path, name: str = "robot") -> None:
+    """Make this the folder of a hub."""
+    make_machine(folder, Machine(name=name, role="hub"), new_identity())
+
+
+def admit(hub: Path, member: Path, name: str, at: Peer, *, hub_name: str = "robot") -> None:
+    """Pair a member at that address with a hub; an earlier machine of that name or folder goes."""
+    with suppress(ConfigurationError):
+        remove_all(member)
+    with suppress(ConfigurationError):
+        remove_peer(hub, name)
+    make_machine(member, Machine(name=name, role="member", port=at.port), new_identity())
+    add_peer(hub, name, at, (member / "own.pem").read_bytes())
+    add_peer(member, hub_name, Peer("127.0.0.1"), (hub / "own.pem").read_bytes())
+
+
+def pair(hub: Paired, member: Paired) -> None:
     """Make `hub` a hub, unless it is one, and pair `member` with it."""
     if not (hub.link / "link.json").exists():
-        become_hub(hub.link, hub.name, datetime.now(UTC), 365)
-    admit(hub, member.name, Peer(member.address), member.link)
-
-
-def admit(
-    hub: Namespace, name: str, peer: Peer, folder: Path, *, age_days: int = 0, days: int = 365
-) -> None:
-    """Admit a member, `age_days` ago, and store its files in `folder`."""
-    key = new_key()
-    then = datetime.now(UTC) - timedelta(days=age_days)
-    certificate = add_member(hub.link, name, peer, key.public_key(), then, days)
-    machine = Machine(
-        name=name, role="member", port=peer.port, peers={hub.name: Peer(hub.address, PORT)}
-    )
-    become_member(folder, machine, key, certificate, read_certificate(hub.link / "ca.pem"))
+        make_hub(hub.link, hub.name)
+    admit(hub.link, member.link, member.name, Peer(member.address), hub_name=hub.name)

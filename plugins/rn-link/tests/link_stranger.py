@@ -9,10 +9,10 @@ from __future__ import annotations
 import asyncio
 import ssl
 import sys
-from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
-from rn_link import relay, stream, tls
+from rn_link import relay, tls
+from rn_link.keys import new_identity, write_private
 from rn_link.machine import Machine, link_folder
 
 
@@ -34,13 +34,8 @@ def main(manners: str) -> None:
             made.load_cert_chain(*_self_signed(folder))
         return made
 
-    def valid_until(_: ssl.SSLObject) -> datetime:
-        return datetime.now(UTC) + timedelta(days=1)
-
     relay.tls_context = context  # type: ignore[assignment]
-    stream.valid_until = valid_until
     if manners == "plain":
-        stream.ssl.SSLObject = object  # type: ignore[misc,assignment]
         start_server = asyncio.start_server
 
         def start(*arguments: object, **options: object) -> object:
@@ -53,11 +48,9 @@ def main(manners: str) -> None:
 
 
 def _self_signed(folder: Path) -> tuple[Path, Path]:
-    from rn_link.certificates import key_to_pem, new_issuer, to_pem, write_private
-
-    issuer = new_issuer("nobody", datetime.now(UTC))
-    write_private(folder / "nobody.pem", to_pem(issuer.certificate))
-    write_private(folder / "nobody.key", key_to_pem(issuer.key))
+    identity = new_identity()
+    write_private(folder / "nobody.pem", identity.certificate)
+    write_private(folder / "nobody.key", identity.key)
     return folder / "nobody.pem", folder / "nobody.key"
 
 

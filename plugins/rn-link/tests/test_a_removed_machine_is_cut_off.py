@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
@@ -12,9 +11,7 @@ from link_machines import Machine as Namespace
 from link_machines import Talker, impossible, machines
 from link_pairs import pair
 
-from rn_link.certificates import new_key, read_certificate
-from rn_link.machine import Machine, Peer
-from rn_link_pairing.keeping import add_member, become_hub, become_member, remove_all, remove_peer
+from rn_link.keys import remove_all, remove_peer
 from rn_testing.waiting import wait_until
 
 pytestmark = [
@@ -75,29 +72,9 @@ def test_a_member_that_leaves_is_cut_off(cell: Cell) -> None:
     check_cut_off((cell.near, "gpu"), (cell.far, "robot"))
 
 
-def test_renewed_and_new_machines_are_linked_without_a_restart(cell: Cell) -> None:
-    become_hub(cell.robot.link, "robot", datetime.now(UTC), 30)
+def test_a_machine_that_is_paired_again_is_linked_without_a_restart(cell: Cell) -> None:
     remove_peer(cell.robot.link, "gpu")
     check_cut_off((cell.near, "gpu"), (cell.far, "robot"))
     pair(cell.robot, cell.gpu)
     for talker, name in ((cell.near, "gpu"), (cell.far, "robot"), (cell.other, "robot")):
         talker.wait_for(name, 5, CONNECT_S)
-
-
-def test_a_connection_ends_with_its_certificate(cell: Cell) -> None:
-    key = new_key()
-    begun_s = time.monotonic()
-    then = datetime.now(UTC) - timedelta(days=1, seconds=-8)
-    peer = Peer(cell.gpu.address)
-    certificate = add_member(cell.robot.link, "gpu", peer, key.public_key(), then, 1)
-    machine = Machine(name="gpu", role="member", peers={"robot": Peer(cell.robot.address)})
-    become_member(
-        cell.gpu.link, machine, key, certificate, read_certificate(cell.robot.link / "ca.pem")
-    )
-    linked = cell.near.log.read_text().count("Linked to gpu")
-    wait_until(
-        lambda: cell.near.log.read_text().count("Linked to gpu") > linked, 6.0, "a connection"
-    )
-    wait_until(lambda: time.monotonic() > begun_s + 8.0, 10.0, "the end of the certificate")
-    check_cut_off((cell.near, "gpu"), (cell.far, "robot"))
-    assert "has expired" in cell.near.log.read_text()

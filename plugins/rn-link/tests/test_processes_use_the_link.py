@@ -5,20 +5,17 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from datetime import UTC, datetime, timedelta
 from importlib.resources import files
 from pathlib import Path
 
 import psutil
 import pytest
+from link_pairs import admit, make_hub
 
-from rn_link.certificates import new_key, read_certificate
 from rn_link.environment import OTHERS, check_unopposed, join_link, uses_link
-from rn_link.feature import LinkFeature
+from rn_link.feature import LinkFeature, LinkOptions
 from rn_link.keeper import RelayKeeper
-from rn_link.machine import Machine, Peer, link_folder
-from rn_link.options import LinkOptions
-from rn_link_pairing.keeping import add_member, become_hub, become_member
+from rn_link.machine import Peer, link_folder
 from rn_testing.waiting import wait_until
 from roboneuron import ConfigurationError
 from roboneuron.feature import Config
@@ -44,21 +41,14 @@ def folder() -> Path:
     return link_folder()
 
 
-def hub(folder: Path, ago_days: int = 0, days: int = 365) -> Machine:
-    now = datetime.now(UTC) - timedelta(days=ago_days)
-    become_hub(folder, "robot", now, days)
-    add_member(folder, "gpu", PEER, new_key().public_key(), now, 365)
-    return Machine(name="robot", role="hub", peers={"gpu": PEER})
+def hub(folder: Path) -> None:
+    make_hub(folder)
+    admit(folder, folder.with_name("far"), "gpu", PEER)
 
 
-def member(folder: Path, tmp_path: Path) -> Machine:
-    now = datetime.now(UTC)
-    become_hub(tmp_path / "far", "robot", now, 365)
-    key = new_key()
-    certificate = add_member(tmp_path / "far", "gpu", PEER, key.public_key(), now, 365)
-    machine = Machine(name="gpu", role="member", port=7500, peers={"robot": PEER})
-    become_member(folder, machine, key, certificate, read_certificate(tmp_path / "far/ca.pem"))
-    return machine
+def member(folder: Path, tmp_path: Path) -> None:
+    make_hub(tmp_path / "far")
+    admit(tmp_path / "far", folder, "gpu", PEER)
 
 
 def test_nothing_changes_without_a_link() -> None:
@@ -68,7 +58,7 @@ def test_nothing_changes_without_a_link() -> None:
 
 
 def test_nothing_changes_without_a_peer(folder: Path) -> None:
-    become_hub(folder, "robot", datetime.now(UTC), 365)
+    make_hub(folder)
     before = dict(os.environ)
     join_link()
     assert dict(os.environ) == before
@@ -194,16 +184,12 @@ def test_a_server_needs_a_link_only_if_the_configuration_says_so() -> None:
         LinkFeature(LinkOptions(required=True)).check(CONFIG)
 
 
-def test_a_server_does_not_start_with_an_expired_certificate(folder: Path) -> None:
-    hub(folder, ago_days=40, days=30)
-    with pytest.raises(ConfigurationError, match="roboneuron link init"):
-        LinkFeature(LinkOptions(required=True)).check(CONFIG)
-
-
-def test_what_expires_soon_is_told(folder: Path, caplog: pytest.LogCaptureFixture) -> None:
-    hub(folder, ago_days=340, days=365)
-    LinkFeature(LinkOptions(required=True, warn_days=10)).check(CONFIG)
-    assert not caplog.text
-    LinkFeature(LinkOptions(required=True)).check(CONFIG)
-    assert "certificate of robot expires" in caplog.text
-    assert "certificate of gpu expires" in caplog.text
+@pytest.mark.parametrize("damage", ["exposed", "no key", "no certificate"])
+def test_a_server_does_not_start_with_a_key_that_is_not_used(folder: Path, damage: str) -> None:
+    hub(folder)
+    if damage == "exposed":
+        (folder / "own.key").chmod(0o644)
+    else:
+        (folder / ("own.key" if damage == "no key" else "own.pem")).write_text("nothing")
+    with pytest.raises(ConfigurationError, match="is not used"):
+        LinkFeature(LinkOptions()).check(CONFIG)

@@ -6,27 +6,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
 from link_machines import Machine as Namespace
 from link_machines import Talker, impossible, machines
-from link_pairs import admit, pair
+from link_pairs import admit, make_hub, pair
 
-from rn_link.certificates import (
-    Issuer,
-    issue,
-    key_to_pem,
-    new_key,
-    read_certificate,
-    read_key,
-    to_pem,
-    write_private,
-)
+from rn_link.keys import add_peer, make_machine, new_identity, write_private
 from rn_link.machine import Machine, Peer
-from rn_link.profile import fast_dds_profile
-from rn_link_pairing.keeping import become_hub
 from rn_testing.waiting import wait_until
 
 pytestmark = [
@@ -34,8 +22,8 @@ pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(bool(impossible()), reason=impossible() or "possible"),
 ]
-CONNECTING = ("foreign", "none", "plain", "expired", "revoked", "member", "udp")
-LISTENING = ("foreign", "none", "plain", "expired", "revoked")
+CONNECTING = ("foreign", "none", "plain", "revoked", "member", "udp")
+LISTENING = ("foreign", "none", "plain", "revoked")
 STRANGERS = (*(f"hub-{kind}" for kind in CONNECTING), *(f"member-{kind}" for kind in LISTENING))
 
 
@@ -61,69 +49,39 @@ class Lab:
         return machine.talk(name, MANNERS=name.partition("-")[2])
 
     def keep(self, name: str, own: Path, trusted: Path) -> None:
-        """Create the link of a foreign node: the keys in `own`, and the issuer of the machine to be
-        contacted.
+        """Create the link of a foreign node: the key in `own`, and the certificate of the machine
+        to be contacted.
         """
         folder = self.strangers[name].link
-        (folder / "peers").mkdir(parents=True)
         is_hub = name.startswith("hub")
-        peer = "gpu" if is_hub else "other"
+        make_machine(folder, Machine(name="x", role="hub" if is_hub else "member"), new_identity())
         for file in ("own.key", "own.pem"):
             write_private(folder / file, (own / file).read_bytes())
-        write_private(folder / "peers" / f"{peer}.issuer.pem", trusted.read_bytes())
-        machine = Machine(
-            name="stranger",
-            role="hub" if is_hub else "member",
-            peers={peer: Peer((self.gpu if is_hub else self.other).address)},
-        )
-        write_private(folder / "fastdds.xml", fast_dds_profile().encode())
-        write_private(folder / "link.json", machine.to_json().encode())
+        peer = ("gpu", self.gpu) if is_hub else ("other", self.other)
+        add_peer(folder, peer[0], Peer(peer[1].address), trusted.read_bytes())
 
 
 def prepare(lab: Lab, folder: Path) -> None:
     """Pair robot and GPU machine, and create the keys of all foreign nodes."""
-    now = datetime.now(UTC)
     robot = lab.robot
-    foreign, revoked, expired = (folder / name for name in ("foreign", "revoked", "expired"))
-    become_hub(foreign, "robot", now, 365)
-    # the GPU machine was paired with a hub that has had a new authority since
+    make_hub(folder / "foreign")
+    # the GPU machine was paired with a hub that has had a new key since
     pair(robot, lab.gpu)
-    robot.link.rename(revoked)
+    robot.link.rename(folder / "revoked")
     pair(robot, lab.gpu)
-    expired.mkdir()
-    key = new_key()
-    authority = robot.link / "ca.pem"
-    issuer = Issuer(read_key(robot.link / "ca.key"), read_certificate(authority))
-    past = now - timedelta(days=40)
-    certificate = issue(issuer, "robot", "hub", key.public_key(), past, 30)
-    write_private(expired / "own.key", key_to_pem(key))
-    write_private(expired / "own.pem", to_pem(certificate))
-    admit(robot, "third", Peer("10.1.2.3"), folder / "member")
-    connecting = {"expired": expired, "revoked": revoked, "member": folder / "member"}
+    admit(robot.link, folder / "member", "third", Peer("10.1.2.3"))
     for kind in CONNECTING[:-1]:
-        keys = connecting.get(kind, foreign)
-        lab.keep(f"hub-{kind}", keys, robot.link / "peers" / "gpu.issuer.pem")
-    become_hub(lab.other.link, "other", now, 365)
-    listening = _admit_listeners(lab, folder)
-    for kind in LISTENING:
-        lab.keep(f"member-{kind}", listening.get(kind, foreign), lab.other.link / "ca.pem")
-
-
-def _admit_listeners(lab: Lab, folder: Path) -> dict[str, Path]:
-    """Let the other robot connect to each listening foreign node; returns keys by kind."""
-    kept = {}
+        own = folder / (kind if kind in ("revoked", "member") else "foreign")
+        lab.keep(f"hub-{kind}", own, lab.gpu.link / "own.pem")
+    # the other robot connects to each listening foreign node, and has revoked the key of one
+    make_hub(lab.other.link, "other")
     for kind in LISTENING:
         name = f"member-{kind}"
-        peer = Peer(lab.strangers[name].address)
-        for times in range(2):  # the second one removes the first one's issuer
-            keys = folder / f"{kind}-{times}"
-            admit(lab.other, name, peer, keys)
-            if (kind, times) == ("revoked", 0):
-                kept[kind] = keys
-        if kind == "expired":
-            kept[kind] = folder / "expired-member"
-            admit(lab.other, name, peer, kept[kind], age_days=40, days=30)
-    return kept
+        at = Peer(lab.strangers[name].address)
+        own = folder / ("was-revoked" if kind == "revoked" else "foreign")
+        for member in (folder / f"was-{kind}", folder / f"is-{kind}"):
+            admit(lab.other.link, member, name, at, hub_name="other")
+        lab.keep(name, own, lab.other.link / "own.pem")
 
 
 @dataclass(frozen=True)

@@ -167,7 +167,7 @@ def link_stamps() -> Sequence[object]:
     except ModuleNotFoundError:
         return ()
     folder = link_folder()
-    paths = [folder / name for name in _LINK_FILES] + sorted(folder.glob("peers/*.issuer.pem"))
+    paths = [folder / name for name in _LINK_FILES] + sorted(folder.glob("peers/*.pem"))
     return tuple((path.name, _stamp(path)) for path in paths)
 
 

@@ -2,33 +2,38 @@
 
 from __future__ import annotations
 
-import logging
 import os
-from datetime import UTC, datetime, timedelta
+
+from pydantic import Field
 
 from rn_link.environment import check_unopposed, uses_link
 from rn_link.keeper import RelayKeeper
-from rn_link.machine import Machine, link_folder, read_machine
-from rn_link.options import LinkOptions
-from roboneuron import ConfigurationError, Feature, Host
+from rn_link.machine import link_folder, read_machine
+from rn_link.tls import own_context
+from roboneuron import ConfigurationError, Feature, Host, Section
 from roboneuron.feature import Config
 
-log = logging.getLogger(__name__)
+
+class LinkOptions(Section):
+    """`[link]`: the encrypted link between machines."""
+
+    required: bool = Field(
+        default=False, description="start the server only if another machine is paired"
+    )
 
 
 class LinkFeature(Feature[LinkOptions]):
-    """Checks keys and certificates; the link itself is the environment of the processes."""
+    """Checks this machine's key; the link itself is the environment of the processes."""
 
     def __init__(self, options: LinkOptions) -> None:
         super().__init__(options)
         self._keeper: RelayKeeper | None = None
 
     def check(self, config: Config) -> None:
-        """Check that the link of this machine works, and warn of certificates that expire soon.
+        """Check that this machine can use its link.
 
         Raises:
-            ConfigurationError: it does not work, or it is missing and the configuration requires
-                it.
+            ConfigurationError: it cannot, or it has none and the configuration requires one.
         """
         folder = link_folder()
         machine = read_machine(folder)
@@ -40,7 +45,13 @@ class LinkFeature(Feature[LinkOptions]):
                 )
             return
         check_unopposed(os.environ, folder)
-        self._check_dates(machine)
+        try:
+            own_context(machine, folder)
+        except OSError as error:  # includes TLS errors
+            raise ConfigurationError(
+                f"The key of this machine's link is not used: {error}.",
+                hint=f"Check own.key and own.pem in {folder}, or pair the machine again.",
+            ) from error
 
     def start(self, host: Host) -> None:
         """Keep the relay of this machine running."""
@@ -52,13 +63,3 @@ class LinkFeature(Feature[LinkOptions]):
         """Stop keeping the relay; other processes that use the link restart it."""
         if self._keeper is not None:
             self._keeper.close()
-
-    def _check_dates(self, machine: Machine) -> None:
-        from rn_link.certificates import check_in_time, expiries  # heavy
-
-        now = datetime.now(UTC)
-        folder = link_folder()
-        check_in_time(machine, folder, now)
-        for name, expiry in expiries(machine, folder).items():
-            if expiry - now < timedelta(days=self.options.warn_days):
-                log.warning("The certificate of %s expires on %s.", name, f"{expiry:%Y-%m-%d}")

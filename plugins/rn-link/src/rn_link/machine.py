@@ -5,12 +5,11 @@ Standard library only: every process imports this.
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from ipaddress import IPv4Address
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -22,16 +21,18 @@ from roboneuron import (
 )
 
 Role = Literal["hub", "member"]
-"""The hub holds the certificate authority and connects to its members, which listen."""
+"""The hub admits machines and connects to its members, which listen."""
 PORT = 7411
 """TCP port that a member listens on."""
 LOOPBACK = "127.0.0.1"
 RELAY = "127.90.0.1"
-"""Address at which the relay receives announcements of this machine's participants; see `alias`."""
+"""Address at which the relay receives announcements of this machine's participants."""
+THERE = "127.90.1.1"
+"""Address at which the relay receives messages for participants of other machines."""
 DISCOVERY_PORT = 7399
 """UDP port at that address; below those of ROS, which start at 7400."""
 _NAME = re.compile(r"[a-z0-9][a-z0-9-]{0,30}")
-_FILE = "link.json"
+FILE = "link.json"
 
 
 def check_port(port: int) -> int:
@@ -66,13 +67,7 @@ class Machine:
 
     def to_json(self) -> str:
         """JSON of the link's file."""
-        facts = {
-            "name": self.name,
-            "role": self.role,
-            "port": self.port,
-            "peers": self.peers,
-        }
-        return json.dumps(facts, indent=2) + "\n"
+        return json.dumps(asdict(self), indent=2) + "\n"
 
 
 def check_name(name: str) -> str:
@@ -83,12 +78,6 @@ def check_name(name: str) -> str:
             hint="Use up to 31 lower-case letters, digits and hyphens, such as gpu-1.",
         )
     return name
-
-
-def alias(name: str) -> str:
-    """Loopback address that represents another machine on this one (127.90.1.0 and above)."""
-    first, second, *_ = hashlib.sha256(name.encode()).digest()
-    return f"127.90.{max(1, first)}.{second}"
 
 
 def check_address(address: str) -> str:
@@ -115,7 +104,7 @@ def read_machine(folder: Path) -> Machine | None:
     Raises:
         ConfigurationError: the file cannot be read, or is damaged.
     """
-    path = folder / _FILE
+    path = folder / FILE
     try:
         return _parse(foreign.read_json(path))
     except FileNotFoundError:

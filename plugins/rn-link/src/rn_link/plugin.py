@@ -6,7 +6,7 @@ FEATURE = FeatureSpec(
     name="link",
     summary="Encrypts and authenticates ROS between paired machines.",
     target="rn_link.feature:LinkFeature",
-    config="rn_link.options:LinkOptions",
+    config="rn_link.feature:LinkOptions",
     on_discovery="rn_link.environment:join_link",
     on_join="rn_link.keeper:keep_link",
 )
@@ -15,7 +15,7 @@ FEATURE = FeatureSpec(
 COMMAND = CommandSpec(
     name="link",
     summary="pair machines, and show or remove paired ones",
-    target="rn_link_pairing.command:LinkCommand",
+    target="rn_link.command:LinkCommand",
 )
 """Descriptor of the command."""
 

@@ -14,7 +14,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
-from rn_link.machine import DISCOVERY_PORT, LOOPBACK, RELAY, alias, check_name
+from rn_link.machine import DISCOVERY_PORT, LOOPBACK, RELAY, THERE, check_name
 from rn_link.rtps import Announcement, domain_of, read_announcement, with_places
 from roboneuron import ConfigurationError, ForeignDataError, foreign
 
@@ -159,7 +159,7 @@ class Ports:
 
     def _make_port(self, machine: str, place: ParticipantPort, port: int) -> socket.socket | None:
         try:
-            made = _open(alias(machine), port)
+            made = _open(THERE, port)
         except OSError as error:
             log.warning("A port for %s cannot be opened: %s", machine, error)
             return None

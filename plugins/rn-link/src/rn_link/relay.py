@@ -59,7 +59,7 @@ class Relay:
             self._ports.close()
 
     async def _follow(self, machine: Machine) -> None:
-        """Disconnect removed machines, and reconnect those whose certificate or issuer has
+        """Disconnect removed machines, and reconnect those whose certificates have
         changed.
         """
         found = {name: _stamps(self._folder, machine, name) for name in machine.peers}
@@ -94,7 +94,7 @@ class Relay:
         connected meanwhile.
         """
         hint = (
-            f"Check own.pem, own.key and peers/{name}.issuer.pem in {self._folder}, or pair {name} "
+            f"Check own.pem, own.key and peers/{name}.pem in {self._folder}, or pair {name} "
             "again with `roboneuron link`."
         )
         logged = ""
@@ -188,7 +188,7 @@ class Relay:
 
 def _stamps(folder: Path, machine: Machine, name: str) -> tuple[object, ...]:
     """A value that changes with the files and settings of a peer."""
-    files = ("own.pem", "own.key", f"peers/{name}.issuer.pem")
+    files = ("own.pem", "own.key", f"peers/{name}.pem")
     stamps = tuple(_stamp(folder / file) for file in files)
     return (machine.role, machine.port, machine.peers[name], stamps)
 

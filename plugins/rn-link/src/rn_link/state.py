@@ -114,10 +114,8 @@ def hint_for(machine: Machine, name: str, error: BaseException) -> str:
         error: error of the attempt or of the connection.
     """
     peer = machine.peers[name]
-    if isinstance(error, ssl.SSLCertVerificationError) and error.verify_code == 10:
-        return f"A certificate has expired: type `roboneuron link add {name}` on the hub."
     if isinstance(error, ssl.SSLError):
-        return f"Pair it again: `roboneuron link add {name}` on the hub."
+        return f"Pair it again: `roboneuron link remove {name}` and `link add {name}` on the hub."
     if isinstance(error, ConnectionRefusedError):
         return f"Start RoboNeuron on {name}, or `roboneuron link run`."
     if isinstance(error, TimeoutError) or (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import re
 import socket
@@ -15,15 +16,16 @@ from pathlib import Path
 
 from rn_link.machine import (
     PORT,
+    Machine,
     check_address,
     check_port,
     link_folder,
     read_machine,
 )
 from rn_link.state import PeerConnection, read_connections
+from rn_link.tls import check_private
 from roboneuron import ConfigurationError, foreign
 
-_DAYS = 365
 _PAIRING_PORT = 7410
 _RESTART = "Restart the server and its modules if they were running before the first pairing."
 _NO_RELAY = "No relay is running: start RoboNeuron, or `roboneuron link run`."
@@ -42,25 +44,18 @@ class LinkCommand:
         actions = parser.add_subparsers(
             dest="action", required=True, metavar="ACTION", help="action to run (each has --help)"
         )
-        init = actions.add_parser(
-            "init", help="make this machine the hub, renew its certificate, or join a hub"
-        )
-        init.add_argument("--name", help="name of this machine; default: its host name")
+        init = actions.add_parser("init", help="make this machine the hub, or join a hub")
+        init.add_argument("--name", help="name of the hub; default: its host name")
         init.add_argument("--join", metavar="ADDRESS[:PORT]", help="hub to join as a member")
         init.add_argument(
             "--port", type=int, default=PORT, help="port that a member listens on (%(default)s)"
         )
         add = actions.add_parser("add", help="admit a member: shows a code for its `init --join`")
         add.add_argument("name", metavar="NAME", help="name of the member")
-        add.add_argument("--address", help="address of the member; default: that of its request")
         add.add_argument(
             "--port", type=int, default=_PAIRING_PORT, help="pairing port (%(default)s)"
         )
-        for one in (init, add):
-            one.add_argument(
-                "--days", type=int, default=_DAYS, help="validity of the certificate (%(default)s)"
-            )
-        show = actions.add_parser("show", help="machines, addresses and dates")
+        show = actions.add_parser("show", help="machines, addresses and connections")
         show.add_argument("--json", action="store_true", help="for programs")
         actions.add_parser("run", help="keep this machine linked without a server")
         remove = actions.add_parser(
@@ -68,7 +63,7 @@ class LinkCommand:
         )
         chosen = remove.add_mutually_exclusive_group(required=True)
         chosen.add_argument("name", metavar="NAME", nargs="?", help="name shown by `show`")
-        chosen.add_argument("--all", action="store_true", help="remove keys and authority too")
+        chosen.add_argument("--all", action="store_true", help="remove all keys")
 
     def findings(self) -> Sequence[tuple[bool, str, str]]:
         """Findings for `roboneuron doctor`: for each paired machine whether it is connected, a
@@ -95,8 +90,10 @@ class LinkCommand:
     def run(self, arguments: Namespace) -> int:
         """Run `roboneuron link`."""
         folder = link_folder()
-        if arguments.action == "init":
+        if arguments.action == "init" and arguments.join is None:
             _init(folder, arguments)
+        elif arguments.action == "init":
+            _join(folder, arguments)
         elif arguments.action == "add":
             _add(folder, arguments)
         elif arguments.action == "show":
@@ -109,51 +106,37 @@ class LinkCommand:
 
 
 def _init(folder: Path, arguments: Namespace) -> None:
-    if arguments.join is not None:
-        _join(folder, arguments)
-        return
-    from rn_link_pairing.keeping import become_hub  # heavy
+    from rn_link.keys import make_machine, new_identity  # heavy
 
-    name = arguments.name or host_name()
-    machine = become_hub(folder, name, datetime.now(UTC), arguments.days)
-    members = ", ".join(machine.peers)
-    _say(f"This machine is the hub {machine.name}; its certificate is valid {arguments.days} days.")
-    _say(
-        f"Its members ({members}) accept it. {_FOLLOWS}"
-        if members
-        else "Next: `roboneuron link add NAME` for each other machine."
-    )
+    machine = Machine(name=arguments.name or host_name(), role="hub")
+    make_machine(folder, machine, new_identity())
+    _say(f"This machine is the hub {machine.name}.")
+    _say("Next: `roboneuron link add NAME` for each other machine.")
 
 
 def _join(folder: Path, arguments: Namespace) -> None:
-    from rn_link_pairing.pairing import join  # heavy
+    from rn_link.keys import check_no_link  # heavy
+    from rn_link.pairing import join
 
     host, _, port = arguments.join.partition(":")
     address = check_address(host)
-    found = read_machine(folder)
-    if found is not None and found.role == "hub":
-        raise ConfigurationError(
-            f"This machine is itself a hub, {found.name}.",
-            hint="Type `roboneuron link remove --all` first, if its members no longer need it.",
-        )
-    port_here = check_port(arguments.port)
+    pairing_port = _port(port)
+    own_port = check_port(arguments.port)
+    check_no_link(folder)
     sys.stderr.write(f"Code that {foreign.printable(address)} shows: ")
     sys.stderr.flush()
     code = check_code(sys.stdin.readline())
-    machine = join(folder, address, _port(port), code, port_here)
+    machine = asyncio.run(join(folder, address, pairing_port, code, own_port))
     (hub,) = machine.peers
-    _say(f"This machine is {machine.name}, a member of {hub}, and listens on TCP {port_here}.")
+    _say(f"This machine is {machine.name}, a member of {hub}, and listens on TCP {own_port}.")
     _say(_RESTART)
 
 
 def _add(folder: Path, arguments: Namespace) -> None:
-    from rn_link_pairing.pairing import PAIRING_S, PairingHub, new_code, open_listener  # heavy
+    from rn_link.pairing import PAIRING_S, PairingHub, new_code, open_listener  # heavy
 
-    address = None if arguments.address is None else check_address(arguments.address)
-    admission = PairingHub(
-        folder, arguments.name, address=address, days=arguments.days, notify=_complain
-    )
     code = new_code()
+    hub = PairingHub(folder, arguments.name, code, _complain)
     with open_listener(arguments.port) as listener:
         port = "" if arguments.port == _PAIRING_PORT else f":{arguments.port}"
         _say(f"Code: {code[:3]} {code[3:]}")
@@ -161,49 +144,36 @@ def _add(folder: Path, arguments: Namespace) -> None:
             f"Type on {arguments.name}, within {PAIRING_S / 60:g} minutes: `roboneuron link init "
             f"--join ADDRESS{port}`, ADDRESS being the IPv4 address of this machine."
         )
-        peer = admission.serve(listener, code)
+        peer = asyncio.run(hub.serve(listener))
     _say(f"{arguments.name} is added: {peer.address}, TCP {peer.port}. {_RESTART}")
 
 
 def _show(folder: Path, as_json: bool) -> None:
     machine = read_machine(folder)
     if machine is None:
-        if as_json:
-            _say("{}")
-        else:
-            _say("This machine has no link. `roboneuron link init` creates one.")
+        told = "This machine has no link. `roboneuron link init` creates one."
+        _say("{}" if as_json else told)
         return
-    from rn_link.certificates import expiries, exposed_keys  # heavy
-
-    for key in exposed_keys(folder):
-        _complain(
-            f"Others may read or replace the key {key} (mode {key.stat().st_mode & 0o777:o}). Pair "
-            f"the machine again; if nobody has read it, type `chmod 600 {key}`."
-        )
-    dates = expiries(machine, folder)
+    try:
+        check_private(folder)
+    except OSError as error:
+        _complain(f"The key of this machine is not used: {error}.")
     connections = read_connections(folder)
     if as_json:
-        facts = json.loads(machine.to_json())
-        facts["expires"] = {name: date.isoformat() for name, date in dates.items()}
-        facts["connections"] = (
-            None
-            if connections is None
-            else {name: asdict(_connection(connections, name)) for name in machine.peers}
-        )
+        states = {name: asdict(_connection(connections or {}, name)) for name in machine.peers}
+        facts = asdict(machine) | {"connections": None if connections is None else states}
         _say(json.dumps(facts, indent=2))
         return
     now = datetime.now(UTC)
     width = max(len(name) for name in (machine.name, *machine.peers))
-    own = f"{machine.role}, this machine{_validity(dates.get(machine.name), now)}"
-    _say(f"{machine.name:<{width}}  {own}")
+    _say(f"{machine.name:<{width}}  {machine.role}, this machine")
     for name, peer in machine.peers.items():
         place = f"{peer.address}, TCP {peer.port}" if machine.role == "hub" else peer.address
-        told = f"{place}{_validity(dates.get(name), now)}"
         if connections is None:
-            _say(f"{name:<{width}}  {told}")
+            _say(f"{name:<{width}}  {place}")
             continue
         connection = _connection(connections, name)
-        _say(f"{name:<{width}}  {told}; {spoken(connection, now)}")
+        _say(f"{name:<{width}}  {place}; {spoken(connection, now)}")
         if connection.hint:
             _say(f"{'':<{width}}  {foreign.printable(connection.hint)}")
     if connections is None and machine.peers:
@@ -243,14 +213,8 @@ def _run(folder: Path) -> None:
         keeper.close()
 
 
-def _validity(date: datetime | None, now: datetime) -> str:
-    if date is None:
-        return ""
-    return f", {'EXPIRED on' if date <= now else 'valid until'} {date:%Y-%m-%d}"
-
-
 def _remove(folder: Path, arguments: Namespace) -> None:
-    from rn_link_pairing.keeping import remove_all, remove_peer  # heavy
+    from rn_link.keys import remove_all, remove_peer  # heavy
 
     if arguments.all:
         remove_all(folder)

@@ -1,1 +1,0 @@
-"""The command `roboneuron link`: keys, certificates, and the pairing of two machines."""
