@@ -15,11 +15,11 @@ from roboneuron import ConfigurationError, NotReadyError, RoboNeuronError
 
 
 @contextmanager
-def answering(status: int) -> Iterator[str]:
+def answering(status: int, protocol: str = "HTTP/1.1") -> Iterator[str]:
     """Address of an HTTP server that answers everything with this status."""
 
     class Handler(BaseHTTPRequestHandler):
-        protocol_version = "HTTP/1.1"
+        protocol_version = protocol
 
         def do_GET(self) -> None:
             self.send_response(status)
@@ -50,3 +50,10 @@ def test_a_status_is_told_with_what_to_do(status: int, expected: type[RoboNeuron
     assert time.monotonic() - begun_s < 15.0
     assert str(status) in str(failure.value)
     assert failure.value.hint
+
+
+def test_an_answer_that_is_no_websocket_is_not_called_silence() -> None:
+    with answering(404, "HTTP/1.0") as url, pytest.raises(NotReadyError) as failure:
+        PolicyClient(url).open(0.5)
+    assert "did not answer" not in str(failure.value)
+    assert "no policy server" in str(failure.value)

@@ -90,7 +90,8 @@ class PolicyClient:
                 self._drop()
                 # the last attempt is cut short by the time limit, which is no reason
                 if not (was_answered and isinstance(error, TimeoutError)):
-                    reason, was_answered = _reason(error), isinstance(error, HandshakeRefused)
+                    reason = _reason(error)
+                    was_answered = isinstance(error, (HandshakeRefused, ForeignDataError))
                 self._check_final(error)
             else:
                 self.connections += 1
