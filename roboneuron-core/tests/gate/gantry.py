@@ -21,6 +21,7 @@ from roboneuron.contract import (
     Proximity,
     RobotProfile,
 )
+from roboneuron.errors import UnsafeError
 from roboneuron.gate.motion import LIMITS, LimitedCommand, MotionLimiter, MotionRules
 
 ARM = ("x", "z", "turn")
@@ -54,6 +55,8 @@ class Gantry:
 
     def forward(self, joints: JointSample) -> Pose:
         self.asked.append(joints)
+        if joints.names[:3] != ARM:
+            raise UnsafeError("The gantry is not measured.")
         x, z, turn = joints.position[:3].tolist()
         half = turn / 2.0
         return Pose(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
@@ -87,9 +88,51 @@ def test_unknown_joints_refuse_every_command() -> None:
     made = paths("zone", at(0.0))
     made.measure(None, NOW_S)
     assert rule(made, to(0.1)) == "not_measured"
-    made.measure(at(0.0), NOW_S)
-    fingers = JointCommand(names=(*ARM, "finger"), position=np.zeros(4), duration_s=0.1)
-    assert rule(made, fingers) == "limit_kinematics"
+
+
+UNMEASURED = {"absent": (), "not finite": (math.nan,)}
+
+
+@pytest.mark.parametrize("value", UNMEASURED.values(), ids=UNMEASURED)
+@pytest.mark.parametrize(
+    ("joint", "x", "refused"),
+    [
+        ("finger", 0.4, ""),
+        ("finger", 0.6, "limit_zone"),
+        ("turn", 0.4, "limit_kinematics"),
+        ("other", 0.4, "limit_kinematics"),
+    ],
+)
+def test_of_joints_that_are_not_measured_only_a_gripper_may_be_commanded(
+    value: tuple[float, ...], joint: str, x: float, refused: str
+) -> None:
+    names = tuple(name for name in ARM if name != joint)
+    start = (0.0,) * len(names)
+    known = JointSample(
+        names=(*names, joint) if value else names, position=np.array([*start, *value])
+    )
+    made = paths("zone", known)
+    targets = dict.fromkeys(names, 0.0) | {joint: 0.0, "x": x}
+    command = JointCommand(
+        names=tuple(targets), position=np.array(list(targets.values())), duration_s=0.1
+    )
+    assert rule(made, command) == refused
+
+
+def test_a_gripper_that_is_not_measured_is_commanded_alone() -> None:
+    made = paths("collision", at(0.0))
+    finger = JointCommand(names=("finger",), position=np.array([0.04]), duration_s=0.1)
+    assert made.is_short([finger])
+    assert made.limit([finger]) == ([finger], "")
+
+
+def test_a_hold_may_command_a_gripper_that_is_not_measured() -> None:
+    made = paths("zone", at(0.62))
+    held = to(0.62)
+    with_finger = JointCommand(
+        names=(*held.names, "finger"), position=np.append(held.position, 0.04), duration_s=0.1
+    )
+    assert rule(made, with_finger) == ""
 
 
 def test_long_ways_are_told_from_short_ones() -> None:

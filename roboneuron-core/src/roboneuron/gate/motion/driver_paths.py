@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -40,7 +41,8 @@ class DriverPaths:
     height, zones, collisions and the TCP's speed, from the measured joints.
 
     A command that goes to a posture that the driver has measured within the last second is a hold,
-    and passes: it must, also where the arm may not be.
+    and passes: it must, also where the arm may not be. A gripper that is not measured is left out,
+    because a driver may drive none; an arm joint that is not measured refuses the command.
 
     Usable from any thread.
 
@@ -137,30 +139,40 @@ class DriverPaths:
             pairs = zip(limits.lower.tolist(), limits.upper.tolist(), strict=True)
             bounds = dict(zip(self._profile.arm_joints, pairs, strict=True))
         for index, command in enumerate(commands):
-            position = command.position
+            there = self._judged(command, joints)
             if kinds.continuous:
-                position = np.array(
-                    [
-                        kinds.nearest(name, before.get(name, target), target, *bounds.get(name, ()))
-                        for name, target in zip(command.names, position.tolist(), strict=True)
-                    ]
-                )
+                there = {
+                    name: kinds.nearest(
+                        name, before.get(name, target), target, *bounds.get(name, ())
+                    )
+                    for name, target in there.items()
+                }
             leg = Leg(
-                names=command.names,
-                position=position,
+                names=tuple(there),
+                position=np.array(list(there.values())),
                 duration_s=command.duration_s,
                 where=f"points[{index}]: " if len(commands) > 1 else "",
             )
             yield leg, before
-            before = {**before, **dict(zip(command.names, position.tolist(), strict=True))}
+            before = {**before, **there}
+
+    def _judged(self, command: JointCommand, joints: JointSample) -> dict[str, float]:
+        """Targets of a command by joint, but for grippers that are not measured."""
+        known = dict(zip(joints.names, joints.position.tolist(), strict=False))
+        measured = {name for name, position in known.items() if math.isfinite(position)}
+        left_out = {gripper.joint for gripper in self._profile.grippers} - measured
+        targets = dict(zip(command.names, command.position.tolist(), strict=True))
+        return {name: target for name, target in targets.items() if name not in left_out}
 
     def _is_hold(self, command: JointCommand) -> bool:
         """Whether a command goes to a posture that was measured lately: exactly, because a little
         more each time would lead anywhere.
         """
-        asked = dict(zip(command.names, command.position.tolist(), strict=True))
         recent = self._measured.copy()
-        newest_s = recent[-1][0] if recent else 0.0
+        if not recent:
+            return False
+        newest_s, newest = recent[-1]
+        asked = self._judged(command, newest)
         for at_s, joints in recent:
             if at_s < newest_s - _HOLDS_S:
                 continue
