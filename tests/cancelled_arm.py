@@ -89,14 +89,19 @@ class Arm:
         files: of a recording, for `play_recording`.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, text: str = "", namespace: str = "fr3") -> None:
+        """Args:
+        folder: for files of this arm.
+        text: configuration of robot, cameras, policy and control; the default one if empty.
+        namespace: of the robot in it.
+        """
         import rclpy
         from geometry_msgs.msg import TwistStamped
         from rclpy.executors import SingleThreadedExecutor
         from sensor_msgs.msg import JointState
 
         domain = free_ros_domain()
-        self.folder = folder
+        self.folder, self._text = folder, text or default_text()
         self.environment = {
             "ROS_DOMAIN_ID": str(domain),
             "XDG_STATE_HOME": str(folder),
@@ -107,7 +112,7 @@ class Arm:
         self._seen: deque[tuple[float, list[float], float]] = deque(maxlen=200)
         self._context = rclpy.Context()
         rclpy.init(context=self._context, domain_id=domain)
-        self._node = rclpy.create_node("judge", namespace="fr3", context=self._context)
+        self._node = rclpy.create_node("judge", namespace=namespace, context=self._context)
         self._node.create_subscription(JointState, "joint_states", self._take, 50)
         self._twists = self._node.create_publisher(TwistStamped, "/lead/twist", 1)
         self._twist = TwistStamped()
@@ -221,7 +226,7 @@ class Arm:
         if self._serves != wanted:
             self.end_server()
             configuration = self.folder / "arm.toml"
-            configuration.write_text(default_text() + CONFIG.format(folder=self.folder) + TOKENS)
+            configuration.write_text(self._text + CONFIG.format(folder=self.folder) + TOKENS)
             environment = self.environment | ({"ROBONEURON_RECORDER": "play"} if plays else {})
             server = served(configuration, environment, transport=transport)
             process, self._url = self._stack.enter_context(server)

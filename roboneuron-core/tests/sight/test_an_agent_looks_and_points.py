@@ -353,7 +353,7 @@ def test_objects_are_found_by_mark_and_by_unambiguous_words(wanted: str | int, x
 def test_what_is_missing_or_ambiguous_is_refused_with_what_is_seen(wanted: str | int) -> None:
     with pytest.raises(InvalidInputError) as refusal:
         find_object(OBJECTS, wanted)
-    assert "3 blue cup" in str(refusal.value)
+    assert '3 "blue cup"' in str(refusal.value)
     assert "\x1b" not in str(refusal.value)
 
 

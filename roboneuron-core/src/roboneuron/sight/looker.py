@@ -8,7 +8,7 @@ from typing import Protocol, runtime_checkable
 from roboneuron.contract.locator import LocatedObject
 from roboneuron.errors import InvalidInputError, NotReadyError
 from roboneuron.server.host import Host
-from roboneuron.sight.marks import CellLook, find_object, name_of, nearest_like
+from roboneuron.sight.marks import CellLook, find_object, nearest_like, told_name
 
 __all__ = ["looker_of", "seen_target"]
 """Names that other distributions may use."""
@@ -92,7 +92,7 @@ def seen_target(
     found = nearest_like(look.objects, marked, _MOVED_M)
     if found is None:
         raise NotReadyError(
-            f"{name_of(marked)} of mark {mark} is no longer seen where it was.",
+            f"{told_name(marked)} of mark {mark} is no longer seen where it was.",
             hint="Call look, and use its marks.",
         )
     return look, found

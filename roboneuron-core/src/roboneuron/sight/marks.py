@@ -60,9 +60,14 @@ def name_of(one: LocatedObject) -> str:
     return foreign.printable(f"{one.colour} {one.label}".strip(), _MOST_WORD)
 
 
+def told_name(one: LocatedObject) -> str:
+    """The name in quotation marks, for sentences: words of others never read as our own."""
+    return foreign.quoted(name_of(one), _MOST_WORD)
+
+
 def seen_names(objects: Sequence[LocatedObject]) -> str:
     """The objects with their marks, for messages."""
-    told = ", ".join(f"{number} {name_of(one)}" for number, one in enumerate(objects, 1))
+    told = ", ".join(f"{number} {told_name(one)}" for number, one in enumerate(objects, 1))
     return told or "nothing"
 
 

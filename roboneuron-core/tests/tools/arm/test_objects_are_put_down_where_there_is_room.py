@@ -183,4 +183,4 @@ def test_an_error_of_the_retreat_says_that_it_is_put_down(openings: int) -> None
     route = route_down(descent, HELD, start, (), 0.0)
     with pytest.raises(NotReadyError) as failed:
         asyncio.run(run_route(StuckCarrier(openings), route, 1.0, (1.0, 1.0)))
-    assert ("Red cube is put down" in failed.value.hint) is bool(openings)
+    assert ('"red cube" is put down' in failed.value.hint) is bool(openings)

@@ -12,7 +12,7 @@ from roboneuron.contract.locator import LocatedObject
 from roboneuron.errors import RefusedError
 from roboneuron.server.tool import CallContext
 from roboneuron.sight.looker import Looker
-from roboneuron.sight.marks import CellLook, name_of
+from roboneuron.sight.marks import CellLook, told_name
 from roboneuron.sight.sightlines import is_covered, is_seen_well
 from roboneuron.supervisor.changes import Stage
 from roboneuron.tools.arm.ee_line import F64
@@ -36,10 +36,10 @@ class UnclearError(RefusedError):
     """
 
     def __init__(self, name: str, uncertainty_m: float, place_m: F64) -> None:
-        """Describe an object by its name, the uncertainty [m] of its place and that place (3,)."""
+        """Describe an object: its quoted name, the uncertainty [m] of its place, that (3,)."""
         self.place_m = place_m
         super().__init__(
-            f"The {name} is partly hidden, and was not seen well before: its place is known only "
+            f"{name} is partly hidden, and was not seen well before: its place is known only "
             f"to {uncertainty_m * 1000:.0f} mm.",
             hint="Move the hand away with move_ee, up or aside, so that the cameras see it; then "
             "call again.",
@@ -50,7 +50,7 @@ class UnclearError(RefusedError):
 def check_seen_well(one: LocatedObject) -> None:
     """Raise UnclearError for a target whose place is not known well."""
     if not is_seen_well(one):
-        raise UnclearError(name_of(one), one.uncertainty_m, one.position_m)
+        raise UnclearError(told_name(one), one.uncertainty_m, one.position_m)
 
 
 def judged(plan: Callable[[Sequence[LocatedObject]], T], others: Sequence[LocatedObject]) -> T:
@@ -68,7 +68,7 @@ def judged(plan: Callable[[Sequence[LocatedObject]], T], others: Sequence[Locate
             raise
         plan(certain)  # what is refused also without them is refused with that reason
         vague = max(others, key=lambda one: one.uncertainty_m)
-        raise UnclearError(name_of(vague), vague.uncertainty_m, vague.position_m) from None
+        raise UnclearError(told_name(vague), vague.uncertainty_m, vague.position_m) from None
 
 
 async def planned(

@@ -10,7 +10,7 @@ import numpy as np
 from roboneuron.contract import Pose
 from roboneuron.contract.locator import LocatedObject
 from roboneuron.errors import RefusedError
-from roboneuron.sight.marks import name_of
+from roboneuron.sight.marks import told_name
 from roboneuron.tools.arm.absolute import top_down
 from roboneuron.tools.arm.doubt import UnclearError
 from roboneuron.tools.arm.ee_line import F64
@@ -76,14 +76,14 @@ def grasps_of(
     box = UprightBox.of(one)
     check_uncovered(box, others)
     if one.yaw_rad is None and yaw_rad is None:
-        raise UnclearError(name_of(one), one.uncertainty_m, one.position_m)
+        raise UnclearError(told_name(one), one.uncertainty_m, one.position_m)
     yaws = [box.yaw_rad, box.yaw_rad + np.pi / 2] if yaw_rad is None else [yaw_rad]
     widths = {yaw: 2 * box.reach(np.array([np.sin(yaw), -np.cos(yaw)])) for yaw in yaws}
     fitting = {yaw: width for yaw, width in widths.items() if width <= hand.gap_m - 2e-3}
     if not fitting:
         width = min(widths.values())
         raise RefusedError(
-            f"The {name_of(one)} is {width * 100:.1f} cm wide between the fingers, which open to "
+            f"{told_name(one)} is {width * 100:.1f} cm wide between the fingers, which open to "
             f"{hand.gap_m * 100:.1f} cm.",
             rule="too_wide",
         )
@@ -154,7 +154,7 @@ def check_uncovered(box: UprightBox, others: Sequence[UprightBox]) -> None:
     on_top = [one.name for one in others if one.bottom_m > middle_m and gap_m(box, one) < 0]
     if on_top:
         raise RefusedError(
-            f"On the {box.name} stands {' and '.join(on_top)}.",
+            f"On {box.name} stands {' and '.join(on_top)}.",
             hint=f"Pick {on_top[0]} first, and place it elsewhere.",
             rule="covered",
         )
@@ -176,7 +176,7 @@ def route_to_grasp(grasp: Grasp, start: Pose, others: Sequence[UprightBox]) -> l
     route = []
     if here[2] < over_m:
         route.append(Waypoint(what="the height above all objects", position_m=_at(here, over_m)))
-    name = name_of(grasp.object)
+    name = told_name(grasp.object)
     lifted = _at(grasp.position_m, max(over_m, grasp.position_m[2] + _LIFT_M))
     return [
         *route,

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from roboneuron.contract.locator import LocatedObject
-from roboneuron.sight.marks import name_of
+from roboneuron.sight.marks import told_name
 from roboneuron.tools.arm.ee_line import F64
 from roboneuron.tools.arm.options import HandOptions
 
@@ -24,7 +24,7 @@ class UprightBox:
         half: float64 (2,), half of its lengths along its own axes [m].
         yaw_rad: direction of its first axis.
         bottom_m, top_m: heights.
-        name: what it belongs to.
+        name: what it belongs to, in quotation marks if it is an object.
         uncertainty_m: its place is within this distance.
     """
 
@@ -48,7 +48,7 @@ class UprightBox:
             yaw_rad=one.yaw_rad or 0.0,
             bottom_m=float(one.position_m[2] - one.size_m[2] / 2),
             top_m=float(one.position_m[2] + one.size_m[2] / 2),
-            name=name_of(one),
+            name=told_name(one),
             uncertainty_m=one.uncertainty_m,
         )
 

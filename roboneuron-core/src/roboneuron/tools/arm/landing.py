@@ -9,7 +9,7 @@ import numpy as np
 
 from roboneuron.contract.locator import LocatedObject
 from roboneuron.errors import StateError
-from roboneuron.sight.marks import CellLook, name_of, nearest_like
+from roboneuron.sight.marks import CellLook, name_of, nearest_like, told_name
 from roboneuron.sight.sightlines import is_seen_well, may_be_at
 from roboneuron.tools.arm.ee_line import F64
 
@@ -29,13 +29,13 @@ class MissedError(StateError):
 
     def __init__(self, name: str, meant_m: F64, lies_at_m: F64) -> None:
         """Args:
-        name: of the object.
+        name: of the object, in quotation marks.
         meant_m, lies_at_m: where its middle was to be, and is seen (3,).
         """
         self.lies_at_m = np.round(lies_at_m, 3).tolist()
         self.off_m = float(np.linalg.norm(lies_at_m - meant_m))
         super().__init__(
-            f"The {name} was let go for {np.round(meant_m, 3).tolist()} m, but lies at "
+            f"{name} was let go for {np.round(meant_m, 3).tolist()} m, but lies at "
             f"{self.lies_at_m} m now, {self.off_m * 1000:.0f} mm away: it slipped, or fell off.",
             hint="Pick it up and place it again, slower.",
         )
@@ -72,4 +72,4 @@ def landed(
     is_higher = seen.is_height_assumed and meant_m[2] - seen.position_m[2] > MISS_M / 2
     if (is_higher or not is_clear) and may_be_at(seen, meant_m, after.view.images):
         return None  # one camera alone, or a part of it, tells no height
-    raise MissedError(name_of(one), meant_m, seen.position_m)
+    raise MissedError(told_name(one), meant_m, seen.position_m)

@@ -17,7 +17,7 @@ from roboneuron.errors import InvalidInputError, RefusedError, RoboNeuronError
 from roboneuron.server.host import Host
 from roboneuron.server.tool import Arguments, CallContext, Tool
 from roboneuron.sight.looker import Looker, looker_of, seen_target
-from roboneuron.sight.marks import CellLook, name_of, seen_names
+from roboneuron.sight.marks import CellLook, name_of, seen_names, told_name
 from roboneuron.tools.arm.absolute import yaw_of
 from roboneuron.tools.arm.bounds import refused_route
 from roboneuron.tools.arm.displacement import Surroundings, displaced
@@ -155,7 +155,7 @@ class Picker:
                 continue
             return look, grasp, route
         assert refusal is not None
-        subject = f"The {name_of(one)} at {np.round(one.position_m, 3).tolist()} m"
+        subject = f"{told_name(one)} at {np.round(one.position_m, 3).tolist()} m"
         raise refused_route(self._host, subject, route, refusal) from refusal
 
 

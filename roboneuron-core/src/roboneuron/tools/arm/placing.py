@@ -16,7 +16,7 @@ from roboneuron.errors import InvalidInputError, RefusedError, RoboNeuronError, 
 from roboneuron.server.host import Host
 from roboneuron.server.tool import CallContext, Tool
 from roboneuron.sight.looker import looker_of
-from roboneuron.sight.marks import CellLook, name_of, nearest_like
+from roboneuron.sight.marks import CellLook, name_of, nearest_like, told_name
 from roboneuron.sight.memory import IN_HAND_M
 from roboneuron.sight.sightlines import is_seen_well
 from roboneuron.supervisor.changes import Stage
@@ -190,7 +190,7 @@ class Placer:
             after = looker.look(context.who, now_ns())
             seen = landed(plan.look, after, one, meant_m)
             if seen is None:
-                raise UnclearError(name_of(one), float(one.size_m[0]), meant_m)
+                raise UnclearError(told_name(one), float(one.size_m[0]), meant_m)
             return after, seen
 
         try:

@@ -17,7 +17,7 @@ from roboneuron.errors import InvalidInputError, RefusedError, StateError
 from roboneuron.server.host import Host
 from roboneuron.server.tool import Arguments, CallContext, Tool
 from roboneuron.sight.looker import Looker, looker_of, seen_target
-from roboneuron.sight.marks import CellLook, name_of, nearest_like
+from roboneuron.sight.marks import CellLook, name_of, nearest_like, told_name
 from roboneuron.sight.sightlines import is_seen_well
 from roboneuron.supervisor.changes import Stage
 from roboneuron.tools.arm.absolute import top_down, yaw_of
@@ -162,7 +162,7 @@ def _check_way(
         bottom_m=box.bottom_m,
         top_m=box.top_m,
     )
-    _check_clear(nearest_obstacle((swept,), others), f"The {box.name}")
+    _check_clear(nearest_obstacle((swept,), others), box.name)
 
 
 def _check_hand(
@@ -310,7 +310,7 @@ class Pusher:
         found = nearest_like(look.objects, meant, FOLLOW_M)
         if found is None:
             raise StateError(
-                f"The {name_of(one)} is no longer seen after the push.", hint="Call look."
+                f"{told_name(one)} is no longer seen after the push.", hint="Call look."
             )
         return found
 

@@ -13,7 +13,7 @@ from roboneuron.contract.locator import LocatedObject
 from roboneuron.contract.rotation import matrix_from_quaternion
 from roboneuron.errors import InvalidInputError, RefusedError
 from roboneuron.sight.looker import Looker, seen_target
-from roboneuron.sight.marks import CellLook, name_of
+from roboneuron.sight.marks import CellLook, name_of, told_name
 from roboneuron.tools.arm.absolute import top_down, yaw_of
 from roboneuron.tools.arm.ee_line import F64
 from roboneuron.tools.arm.hand_space import (
@@ -292,14 +292,14 @@ def _check_carries(carrier: UprightBox, below: Sequence[UprightBox], put: Uprigh
     higher = [box for box in below if box.top_m > carrier.top_m + 0.005]
     if higher:
         raise RefusedError(
-            f"On the {carrier.name} stands {higher[0].name} already.",
+            f"On {carrier.name} stands {higher[0].name} already.",
             hint=f"Place it on {higher[0].name}, or elsewhere.",
             rule="occupied",
         )
     off = np.abs(carrier.axes @ (put.centre - carrier.centre))
     if (off > _BORNE * carrier.half).any():
         raise RefusedError(
-            f"Its middle would be {float(off.max()) * 1000:.0f} mm from that of the "
+            f"Its middle would be {float(off.max()) * 1000:.0f} mm from that of "
             f"{carrier.name}: it would fall.",
             rule="unstable",
         )
@@ -329,7 +329,7 @@ def route_down(
             position_m=descent.position_m,
             rotation=rotation,
             opening=descent.opening,
-            done=f"{name_of(held.object).capitalize()} is put down already.",
+            done=f"{told_name(held.object)} is put down already.",
         ),
         Waypoint(what="the height above it", position_m=away, rotation=rotation),
     ]
