@@ -21,8 +21,15 @@ from rn_policy_cubes.teacher import Situations, act, after, tilt_of, yaw_of
 from rn_robot_fr3.cell import FR3
 from rn_robot_fr3.profile import HOME_RAD, profile
 from rn_robot_fr3.scene import REGION_X_M, REGION_Y_M
-from roboneuron import Action, Hold, JointSample, NotReadyError, matrix_from_quaternion
-from roboneuron.command import RosLink, messages, qos
+from roboneuron import (
+    Action,
+    Hold,
+    JointSample,
+    NotReadyError,
+    joints_from_message,
+    matrix_from_quaternion,
+)
+from roboneuron.command import RosLink, qos
 
 F64 = NDArray[np.float64]
 
@@ -276,7 +283,7 @@ class CubeLeader:
             self._publish(JointState(name=names, position=row.tolist()))
 
     def _take_joints(self, message: object) -> None:
-        sample = messages.joints_from_message(message)
+        sample = joints_from_message(message)
         with self._lock:
             self._joints = dict(zip(sample.names, sample.position.tolist(), strict=True))
 

@@ -22,8 +22,8 @@ from rn_standard.console.client import spawned_server
 from rn_standard.demo.agent import DemoAgent, module_status
 from rn_testing.waiting import wait_until
 from roboneuron.command import RosLink, qos, topics
+from roboneuron.contract import to_ns
 from roboneuron.ros.environment import prepare_environment
-from roboneuron.ros.messages import to_ns
 
 torch = pytest.importorskip("torch")
 # timing: missed periods depend on the machine's load

@@ -73,7 +73,9 @@ from .contract import (
     frame_from_buffer as frame_from_buffer,
     image_from_message as image_from_message,
     joint_kinds as joint_kinds,
+    joints_from_message as joints_from_message,
     mesh_file as mesh_file,
+    pose_from_message as pose_from_message,
     robot_space as robot_space,
 )
 from .contract.arrays import (

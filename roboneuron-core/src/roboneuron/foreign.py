@@ -16,6 +16,7 @@ import json
 import math
 import os
 import stat
+import tomllib
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from pathlib import Path
@@ -201,18 +202,29 @@ def _first_of(error: Exception) -> str:
     return f"{place}: {first['msg']}" if place else str(first["msg"])
 
 
-def read_bytes(path: Path, *, most_bytes: int = MOST_FILE_BYTES) -> bytes:
+def read_bytes(path: Path, *, most_bytes: int = MOST_FILE_BYTES, is_secret: bool = False) -> bytes:
     """Read a regular file of at most `most_bytes`.
+
+    Args:
+        path: the file.
+        most_bytes: limit of its size.
+        is_secret: only its owner may be permitted to read or write it.
 
     Raises:
         FileNotFoundError: there is none.
-        ForeignDataError: it is a folder, a device or a pipe, is larger, or cannot be read.
+        ForeignDataError: it is a folder, a device or a pipe, is larger, cannot be read, or is a
+            secret that others can read.
     """
     try:
         # a pipe without a writer must not block
         with open(os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK), "rb") as file:
-            if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+            mode = os.fstat(file.fileno()).st_mode
+            if not stat.S_ISREG(mode):
                 raise ForeignDataError(f"{path.name} is no regular file")
+            if is_secret and mode & (stat.S_IRWXG | stat.S_IRWXO):
+                raise ForeignDataError(
+                    f"others can read {path.name}", hint=f"Type `chmod 600 {path}`."
+                )
             data = file.read(most_bytes + 1)
     except FileNotFoundError:
         raise
@@ -223,6 +235,32 @@ def read_bytes(path: Path, *, most_bytes: int = MOST_FILE_BYTES) -> bytes:
     if len(data) > most_bytes:
         raise ForeignDataError(f"{path.name} has more than {most_bytes} bytes")
     return data
+
+
+def read_text(path: Path, *, most_bytes: int = MOST_FILE_BYTES, is_secret: bool = False) -> str:
+    """Read a file of UTF-8, without the byte order mark that some editors put in front. Raises as
+    `read_bytes`, and ForeignDataError for another encoding.
+    """
+    data = read_bytes(path, most_bytes=most_bytes, is_secret=is_secret)
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise ForeignDataError(
+            f"{path.name} is not UTF-8 (byte {error.start})", hint="Save it as UTF-8."
+        ) from error
+
+
+def decode_toml(text: str, what: str) -> Document:
+    """Decode a TOML document; numbers that are not finite are refused, as in JSON."""
+    try:
+        value = tomllib.loads(text)
+    except RecursionError as error:
+        raise ForeignDataError(f"{what} is nested more than {MOST_DEPTH} deep") from error
+    # also integers with more digits than Python converts
+    except ValueError as error:
+        raise ForeignDataError(f"{what} is not valid TOML: {error}") from error
+    check_value(value, what)
+    return value
 
 
 def read_json(path: Path, *, most_bytes: int = MOST_FILE_BYTES, has_constants: bool = False) -> Any:

@@ -22,6 +22,9 @@ from roboneuron.contract import (
     JointCommand,
     JointSample,
     Pose,
+    joints_from_message,
+    pose_from_message,
+    to_ns,
 )
 from roboneuron.errors import InvalidInputError
 from roboneuron.modules.inference.inputs import (
@@ -29,7 +32,7 @@ from roboneuron.modules.inference.inputs import (
 )
 from roboneuron.modules.perception.module import to_camera_info
 from roboneuron.ros import messages
-from roboneuron.ros.messages import frame_from_message, pose_from_message
+from roboneuron.ros.messages import frame_from_message
 
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
 STAMP_NS = 1_700_000_000_123_456_789
@@ -65,7 +68,7 @@ def test_intrinsics_cross_the_wire_with_pixel_centres_at_integers() -> None:
         camera="c", image=image(), stamp_ns=STAMP_NS, frame_id="optical", calibration=calibration()
     )
     info = over_the_wire(camera_info_of(frame))
-    assert (info.width, info.height, info.header.frame_id, messages.to_ns(info.header.stamp)) == (
+    assert (info.width, info.height, info.header.frame_id, to_ns(info.header.stamp)) == (
         6,
         4,
         "optical",
@@ -200,7 +203,7 @@ def test_joint_state_survives_the_wire() -> None:
         velocity=np.array([0.1, 0.2]),
         stamp_ns=STAMP_NS,
     )
-    back = messages.joints_from_message(over_the_wire(messages.to_joint_state(joints)))
+    back = joints_from_message(over_the_wire(messages.to_joint_state(joints)))
     assert back.names == joints.names
     np.testing.assert_array_equal(back.position, joints.position)
     assert back.velocity is not None
@@ -215,7 +218,7 @@ def test_joint_state_that_does_not_match_itself_is_refused(
     names: list[str], position: list[float], velocity: list[float]
 ) -> None:
     with pytest.raises(InvalidInputError):
-        messages.joints_from_message(JointState(name=names, position=position, velocity=velocity))
+        joints_from_message(JointState(name=names, position=position, velocity=velocity))
 
 
 def test_pose_survives_the_wire() -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import time
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -98,7 +100,12 @@ def test_its_poses_are_read_as_control_writes_them(
         quaternion_xyzw=np.array([0.0, 0.6, 0.0, 0.8]),
         stamp_ns=5 * 10**9 + 7,
     )
-    _on_pose(handover, to_pose_stamped(pose, "base"))
+    status = StatusWriter("fake/control")
+    for x_m in (math.nan, 0.1):
+        pose = replace(pose, position_m=np.array([x_m, 0.2, 0.3]))
+        _on_pose(module(status, []), handover, to_pose_stamped(pose, "base"))
+    assert status.report().dropped_by == {"malformed_pose": 1}
+    assert len(heard) == 1
     assert heard[0].stamp_ns == pose.stamp_ns
     assert heard[0].position_m.tolist() == pose.position_m.tolist()
     assert heard[0].quaternion_xyzw.tolist() == pose.quaternion_xyzw.tolist()

@@ -29,8 +29,9 @@ from roboneuron import (
     StateError,
     UnsafeError,
     image_from_message,
+    joints_from_message,
 )
-from roboneuron.command import Report, RosLink, messages, settings, topics
+from roboneuron.command import Report, RosLink, settings, topics
 
 F64 = NDArray[np.float64]
 
@@ -203,7 +204,7 @@ class RobotTopics:
 
     def _on_joints(self, message: JointState) -> None:
         try:
-            joints = messages.joints_from_message(message)
+            joints = joints_from_message(message)
         except InvalidInputError:
             return  # control counts it; `joints` reports missing states
         with self._changed:

@@ -17,6 +17,7 @@ from roboneuron import (
     ForeignDataError,
     InvalidInputError,
     foreign,
+    joints_from_message,
 )
 from roboneuron.command import environment
 
@@ -108,11 +109,9 @@ class TopicLeader:
             link.close()
 
     def _take(self, message: JointState) -> None:
-        from roboneuron.command import messages  # heavy: needs the environment
-
         problem, positions = "", dict[str, float]()
         try:
-            joints = messages.joints_from_message(message)
+            joints = joints_from_message(message)
             positions = dict(zip(joints.names, joints.position.tolist(), strict=True))
         except InvalidInputError as error:
             problem = f"A state {self.name} is malformed: {error}"

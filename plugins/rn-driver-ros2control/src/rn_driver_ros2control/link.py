@@ -4,6 +4,7 @@ no ROS graph.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
@@ -11,7 +12,10 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
+
+from roboneuron import joints_from_message
 
 F64 = NDArray[np.float64]
 
@@ -31,6 +35,30 @@ class MeasuredJoint:
     velocity: float | None
     stamp_ns: int
     received_s: float
+
+
+def measured_joints(message: JointState, received_s: float) -> dict[str, MeasuredJoint]:
+    """The joints of a message, by name.
+
+    Args:
+        message: sensor_msgs/JointState.
+        received_s: monotonic time of its arrival.
+
+    Raises:
+        InvalidInputError: as `joints_from_message`.
+    """
+    joints = joints_from_message(message)
+    positions = joints.position.tolist()
+    speeds = [math.nan] * len(positions) if joints.velocity is None else joints.velocity.tolist()
+    return {
+        name: MeasuredJoint(
+            position=position,
+            velocity=None if math.isnan(speed) else speed,
+            stamp_ns=joints.stamp_ns,
+            received_s=received_s,
+        )
+        for name, position, speed in zip(joints.names, positions, speeds, strict=True)
+    }
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

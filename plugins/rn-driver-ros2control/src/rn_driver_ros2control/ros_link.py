@@ -8,7 +8,6 @@ import time
 from collections.abc import Callable, Mapping
 
 import rclpy
-from builtin_interfaces.msg import Time
 from control_msgs.action import FollowJointTrajectory, GripperCommand, ParallelGripperCommand
 from control_msgs.msg import JointTolerance, JointTrajectoryControllerState
 from rclpy.action import ActionClient
@@ -20,10 +19,16 @@ from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
-from rn_driver_ros2control.link import ControllerReport, End, GoalObserver, MeasuredJoint
+from rn_driver_ros2control.link import (
+    ControllerReport,
+    End,
+    GoalObserver,
+    MeasuredJoint,
+    measured_joints,
+)
 from rn_driver_ros2control.options import Ros2ControlOptions
 from rn_driver_ros2control.trajectory import to_duration
-from roboneuron import NotReadyError, StateError
+from roboneuron import InvalidInputError, NotReadyError, StateError
 
 log = logging.getLogger(__name__)
 
@@ -59,6 +64,7 @@ class RosControllerLink:
         self._arm = joints
         self._lock = threading.Lock()
         self._measured: dict[str, MeasuredJoint] = {}
+        self._refused = ""
         self._report: ControllerReport | None = None
         self._goals: dict[int, _TrajectoryGoal] = {}
         self._gripper_note = "no command yet"
@@ -270,18 +276,15 @@ class RosControllerLink:
         rclpy.try_shutdown(context=context)
 
     def _on_joints(self, message: JointState) -> None:
-        now_s = time.monotonic()
-        has_velocity = len(message.velocity) == len(message.name)
+        try:
+            joints = measured_joints(message, time.monotonic())
+        except InvalidInputError as error:
+            if str(error) != self._refused:
+                self._refused = str(error)
+                log.warning("A message of %s is left out: %s", self._options.joint_states, error)
+            return
         with self._lock:
-            for index, name in enumerate(message.name):
-                if index < len(message.position):
-                    velocity = float(message.velocity[index]) if has_velocity else None
-                    self._measured[name] = MeasuredJoint(
-                        position=float(message.position[index]),
-                        velocity=velocity,
-                        stamp_ns=_to_ns(message.header.stamp),
-                        received_s=now_s,
-                    )
+            self._measured |= joints
 
     def _on_report(self, message: JointTrajectoryControllerState) -> None:
         names = tuple(message.joint_names)
@@ -360,7 +363,3 @@ class RosControllerLink:
         elif answer.status == _ABORTED:
             note = "aborted by the gripper"
         self._note_gripper(number, note)
-
-
-def _to_ns(stamp: Time) -> int:
-    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)

@@ -4,6 +4,7 @@ servers started for that.
 
 from __future__ import annotations
 
+import logging
 import threading
 import time
 from collections.abc import Iterator, Sequence
@@ -28,6 +29,7 @@ from roboneuron import (
     RefusedError,
     Result,
     Tool,
+    pose_from_message,
 )
 from roboneuron.direct_path.exposed import ACTION_LABEL as ENDPOINT
 from roboneuron.direct_path.exposed import gate_request
@@ -36,6 +38,7 @@ from roboneuron.feature import ExposedEndpoint, GateRequest, TimedCommand
 if TYPE_CHECKING:
     from geometry_msgs.msg import PoseStamped
 
+log = logging.getLogger(__name__)
 F64 = NDArray[np.float64]
 _MOST_GAP_S = 1.0
 """Longest pause between two recorded actions; a longer one is shortened to this, since control
@@ -260,7 +263,7 @@ class _TcpTrack:
         _ = host.graph  # first: two threads must not import rclpy at the same time
         from geometry_msgs.msg import PoseStamped  # heavy
 
-        self._positions: list[tuple[float, float, float]] = []
+        self._positions: list[F64] = []
         self._came = threading.Event()
         self.close = host.subscribe(PoseStamped, f"/{exposed.namespace}/ee_pose", self._take)
 
@@ -277,6 +280,10 @@ class _TcpTrack:
         return np.array(self._positions)
 
     def _take(self, message: PoseStamped) -> None:
-        position = message.pose.position
-        self._positions.append((position.x, position.y, position.z))
+        try:
+            pose = pose_from_message(message)
+        except InvalidInputError as error:
+            log.warning("A measured pose is left out: %s", error)
+            return
+        self._positions.append(pose.position_m)
         self._came.set()

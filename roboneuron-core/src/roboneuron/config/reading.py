@@ -6,7 +6,6 @@ ones.
 
 from __future__ import annotations
 
-import tomllib
 from argparse import Namespace
 from collections.abc import Callable, Mapping
 from importlib.resources import files
@@ -15,8 +14,9 @@ from typing import Any, TypeVar, cast
 
 from pydantic import BaseModel
 
+from roboneuron import foreign
 from roboneuron.config.models import Config
-from roboneuron.errors import ConfigurationError
+from roboneuron.errors import ConfigurationError, ForeignDataError
 from roboneuron.plugins.availability import package_of
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.loading import (
@@ -30,6 +30,8 @@ from roboneuron.plugins.specs import FeatureSpec, RobotSpec
 
 EMBEDDED_DEFAULT = "the embedded default"
 """Name, in messages, of the configuration that is used without a file."""
+_MOST_BYTES = 1 << 20
+"""Largest configuration file; one with every key has 40 kB."""
 _STDIO = "stdio"
 """The transport without an address."""
 M = TypeVar("M", bound=BaseModel)
@@ -67,12 +69,12 @@ def parse_config(
 
 def _parse_toml(text: str, source: str) -> dict[str, Any]:
     """Parse the tables of a text. Raises ConfigurationError, which names the file, if it is not
-    TOML.
+    TOML, or contains a number that is not finite.
     """
     try:
-        return tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigurationError(f"{source} is not valid TOML: {error}.") from error
+        return foreign.decode_toml(text, source)
+    except ForeignDataError as error:
+        raise ConfigurationError(f"{error.message}.", hint=error.hint) from error
 
 
 def parse_tables(raw: Mapping[str, Any], source: str, registry: Registry | None) -> Config:
@@ -183,7 +185,7 @@ def read_state_directory(path: Path) -> str | None:
     Raises:
         ConfigurationError: the file cannot be read, is not TOML, or the value is not text.
     """
-    section = _parse_toml(_read_text(path), str(path)).get("supervisor")
+    section = read_tables(path).get("supervisor")
     found = section.get("state_directory") if isinstance(section, dict) else None
     if found is not None and not isinstance(found, str):
         raise ConfigurationError(
@@ -192,17 +194,26 @@ def read_state_directory(path: Path) -> str | None:
     return found
 
 
+def read_tables(path: Path) -> dict[str, Any]:
+    """Read the tables of a file, unchecked. Raises ConfigurationError as `load_config`, or if it is
+    not TOML.
+    """
+    return _parse_toml(_read_text(path), str(path))
+
+
 def _read_text(path: Path) -> str:
     """Read a file's text. Raises ConfigurationError with a remedy if it cannot be read."""
     try:
-        return path.read_text(encoding="utf-8")
+        return foreign.read_text(path, most_bytes=_MOST_BYTES)
     except FileNotFoundError as error:
         raise ConfigurationError(
             f"There is no file {path.absolute()}.",
             hint=f"Make one to edit: roboneuron config show > {path}. Or leave --config out.",
         ) from error
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigurationError(f"{path} cannot be read: {error}.") from error
+    except ForeignDataError as error:
+        raise ConfigurationError(
+            f"{path} cannot be read: {error.message}.", hint=error.hint
+        ) from error
 
 
 def check_sections(config: Config, registry: Registry, source: str = "roboneuron.toml") -> None:

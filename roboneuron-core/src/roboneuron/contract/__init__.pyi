@@ -58,6 +58,9 @@ from .observation import (
     JointSample as JointSample,
     Observation as Observation,
     Pose as Pose,
+    joints_from_message as joints_from_message,
+    pose_from_message as pose_from_message,
+    to_ns as to_ns,
 )
 from .profile import (
     TOPIC_RULE as TOPIC_RULE,

@@ -7,6 +7,7 @@ read-only view of it.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -17,6 +18,8 @@ from numpy.typing import NDArray
 from roboneuron.contract.arrays import F64, ReadOnly, freeze, read_only_view
 from roboneuron.contract.image import check_rgb8
 from roboneuron.errors import InvalidInputError
+
+NS_PER_S = 1_000_000_000
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -113,6 +116,57 @@ class JointSample(ReadOnly):
     def get(self, name: str) -> float | None:
         """Position of a joint [rad or m]; None if it is not among these."""
         return float(self.position[self.names.index(name)]) if name in self.names else None
+
+
+def joints_from_message(message: Any) -> JointSample:
+    """sensor_msgs/JointState -> JointSample. A velocity that is not a number is none: the
+    joint_state_broadcaster of ros2_control fills them in for joints without a velocity interface.
+
+    Raises:
+        InvalidInputError: names and positions differ in number, a name occurs twice, or velocities
+            differ in number.
+    """
+    names = tuple(message.name)
+    if len(names) != len(message.position) or len(set(names)) != len(names):
+        raise InvalidInputError(
+            f"A joint state has {len(names)} names ({len(set(names))} different) and "
+            f"{len(message.position)} positions."
+        )
+    velocity = np.array(message.velocity, dtype=np.float64) if len(message.velocity) else None
+    if velocity is not None and len(velocity) != len(names):
+        raise InvalidInputError(
+            f"A joint state has {len(names)} names and {len(velocity)} velocities."
+        )
+    if velocity is not None and np.isnan(velocity).all():
+        velocity = None
+    return JointSample(
+        names=names,
+        position=np.array(message.position, dtype=np.float64),
+        velocity=velocity,
+        stamp_ns=to_ns(message.header.stamp),
+    )
+
+
+def pose_from_message(message: Any) -> Pose:
+    """geometry_msgs/PoseStamped -> Pose in the message's frame, which is not checked: that of
+    `ee_pose` is the robot's base.
+
+    Raises:
+        InvalidInputError: a value is not finite.
+    """
+    p, q = message.pose.position, message.pose.orientation
+    if not all(map(math.isfinite, (p.x, p.y, p.z, q.x, q.y, q.z, q.w))):
+        raise InvalidInputError("A pose holds a value that is not finite.")
+    return Pose(
+        position_m=np.array([p.x, p.y, p.z]),
+        quaternion_xyzw=np.array([q.x, q.y, q.z, q.w]),
+        stamp_ns=to_ns(message.header.stamp),
+    )
+
+
+def to_ns(stamp: Any) -> int:
+    """builtin_interfaces/Time -> nanoseconds."""
+    return int(stamp.sec) * NS_PER_S + int(stamp.nanosec)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from roboneuron.contract import JointSample
+from roboneuron.contract import JointSample, joints_from_message
 from roboneuron.direct_path.fields import load_type
 from roboneuron.direct_path.peers import NodeDdsGraph, check_server
 from roboneuron.errors import InvalidInputError
@@ -125,10 +125,8 @@ class Traffic:
         message = watch.newest(JOINTS_AGE_S) if watch is not None else None
         if message is None:
             return None
-        from roboneuron.ros import messages
-
         try:
-            return messages.joints_from_message(message)
+            return joints_from_message(message)
         except InvalidInputError:
             return None
 

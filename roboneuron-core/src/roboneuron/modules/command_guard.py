@@ -13,7 +13,7 @@ from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
 from roboneuron.config import LimitsConfig
-from roboneuron.contract import JointCommand, JointSample, RobotDriver, RobotProfile
+from roboneuron.contract import JointCommand, JointSample, RobotDriver, RobotProfile, to_ns
 from roboneuron.errors import InvalidInputError, RefusedError, RoboNeuronError
 from roboneuron.gate.motion import (
     MOST_POINTS,
@@ -32,7 +32,7 @@ from roboneuron.modules.settings import (
 )
 from roboneuron.plugins.registry import Registry
 from roboneuron.ros.graph import server_node
-from roboneuron.ros.messages import commands_from_message, to_ns
+from roboneuron.ros.messages import commands_from_message
 from roboneuron.ros.topics import JOINT_COMMAND, JOINT_TRAJECTORY
 
 _REPORT_PERIOD_S = 1.0

@@ -10,12 +10,12 @@ from __future__ import annotations
 
 import os
 import sys
-import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Literal, NamedTuple
 
-from roboneuron.errors import ConfigurationError
+from roboneuron import foreign
+from roboneuron.errors import ConfigurationError, ForeignDataError
 
 Installation = Literal["auto", "wheels", "sourced"]
 """Values of `[ros] installation`."""
@@ -237,8 +237,9 @@ def _wanted(words: Sequence[str]) -> Installation:
         if name != "--config":
             continue
         try:
-            table = tomllib.loads(Path(value or following).read_text(encoding="utf-8")).get("ros")
-        except (OSError, ValueError):
+            text = foreign.read_text(Path(value or following), most_bytes=foreign.MOST_BYTES)
+            table = foreign.decode_toml(text, "the configuration").get("ros")
+        except (OSError, ValueError, ForeignDataError):
             break
         wanted = table.get("installation") if isinstance(table, dict) else None
         return next((one for one in known if one == wanted), "auto")

@@ -29,10 +29,11 @@ from roboneuron.contract import (
     JointSample,
     Pose,
     image_from_message,
+    joints_from_message,
 )
+from roboneuron.contract.observation import NS_PER_S, to_ns
 from roboneuron.errors import InvalidInputError
 
-NS_PER_S = 1_000_000_000
 _PLANNED = "planned@"
 _MOST_PLANNED = 50
 """Number of planned rows that are read: each is computed again with every incoming row."""
@@ -80,11 +81,6 @@ class PlannedRows:
 def to_time(stamp_ns: int) -> Time:
     """Nanoseconds -> builtin_interfaces/Time."""
     return Time(sec=int(stamp_ns // NS_PER_S), nanosec=int(stamp_ns % NS_PER_S))
-
-
-def to_ns(stamp: Time) -> int:
-    """builtin_interfaces/Time -> nanoseconds."""
-    return int(stamp.sec) * NS_PER_S + int(stamp.nanosec)
 
 
 def to_image(frame: Frame) -> Image:
@@ -198,43 +194,6 @@ def to_joint_state(joints: JointSample) -> JointState:
     if joints.velocity is not None:
         message.velocity = array.array("d", joints.velocity.tolist())
     return message
-
-
-def joints_from_message(message: JointState) -> JointSample:
-    """sensor_msgs/JointState -> JointSample.
-
-    Raises:
-        InvalidInputError: names and positions differ in number, a name occurs twice, or velocities
-            differ in number.
-    """
-    names = tuple(message.name)
-    if len(names) != len(message.position) or len(set(names)) != len(names):
-        raise InvalidInputError(
-            f"A joint state has {len(names)} names ({len(set(names))} different) and "
-            f"{len(message.position)} positions."
-        )
-    if message.velocity and len(message.velocity) != len(names):
-        raise InvalidInputError(
-            f"A joint state has {len(names)} names and {len(message.velocity)} velocities."
-        )
-    return JointSample(
-        names=names,
-        position=np.array(message.position, dtype=np.float64),
-        velocity=np.array(message.velocity, dtype=np.float64) if message.velocity else None,
-        stamp_ns=to_ns(message.header.stamp),
-    )
-
-
-def pose_from_message(message: PoseStamped) -> Pose:
-    """geometry_msgs/PoseStamped -> Pose in the message's frame, which is not checked: that of
-    `ee_pose` is the robot's base.
-    """
-    p, q = message.pose.position, message.pose.orientation
-    return Pose(
-        position_m=np.array([p.x, p.y, p.z]),
-        quaternion_xyzw=np.array([q.x, q.y, q.z, q.w]),
-        stamp_ns=to_ns(message.header.stamp),
-    )
 
 
 def to_pose_stamped(pose: Pose, frame_id: str) -> PoseStamped:

@@ -64,9 +64,9 @@ class _Poses:
 
     def add(self, message: Any) -> None:
         pose = pose_of(message)
-        assert pose is not None
-        with self._lock:
-            self._history.add(pose)
+        if pose is not None:
+            with self._lock:
+                self._history.add(pose)
 
     def at(self, stamp_ns: int) -> NDArray[np.float64] | None:
         with self._lock:

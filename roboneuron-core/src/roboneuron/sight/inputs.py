@@ -19,6 +19,8 @@ from roboneuron.contract import (
     Frame,
     Pose,
     RobotProfile,
+    pose_from_message,
+    to_ns,
 )
 from roboneuron.contract.image import depth_from_message
 from roboneuron.direct_path.fields import load_type
@@ -113,9 +115,9 @@ class Inputs:
         message = self.newest(topic, _IMAGE_AGE_S)
         if message is None or self._newest[topic][0] < since_s:
             return None
-        stamp_ns = messages.to_ns(message.header.stamp)
+        stamp_ns = to_ns(message.header.stamp)
         depths = list(self._depths.get(topic, ()))
-        depth = next((one for one in depths if messages.to_ns(one.header.stamp) == stamp_ns), None)
+        depth = next((one for one in depths if to_ns(one.header.stamp) == stamp_ns), None)
         parts = (message, self.last(_info_topic(topic)), depth)
         decoded = self._decoded.get(camera)
         if decoded is not None and all(map(operator.is_, decoded[0], parts)):
@@ -201,5 +203,11 @@ def pose_topic(namespace: str, arm: str = "") -> str:
 
 
 def pose_of(message: PoseStamped | None) -> Pose | None:
-    """geometry_msgs/PoseStamped -> Pose; None stays None."""
-    return None if message is None else messages.pose_from_message(message)
+    """geometry_msgs/PoseStamped -> Pose; None without a message, and for a damaged one."""
+    if message is None:
+        return None
+    try:
+        return pose_from_message(message)
+    except InvalidInputError as error:
+        log.warning("A measured pose cannot be used: %s", error)
+        return None

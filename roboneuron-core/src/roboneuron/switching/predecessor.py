@@ -14,7 +14,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
-from roboneuron.contract import ACTION_LABEL, Pose
+from roboneuron.contract import ACTION_LABEL, pose_from_message
 from roboneuron.errors import InvalidInputError
 from roboneuron.modules.control.module import ControlModule
 from roboneuron.modules.inference.module import InferenceModule
@@ -41,7 +41,7 @@ def follow_predecessor(module: Module, handover: TimedHandover) -> None:
             module.config.control is not None and module.config.control.command == "joint_state"
         )
         commands = (JointState, JOINT_COMMAND) if is_state else (JointTrajectory, JOINT_TRAJECTORY)
-        node.subscribe(PoseStamped, EE_POSE, partial(_on_pose, handover))
+        node.subscribe(PoseStamped, EE_POSE, partial(_on_pose, module, handover))
         node.subscribe(*commands, partial(_on_command, module, handover))
 
 
@@ -62,14 +62,11 @@ def _on_action(
     module.executor.note_sent(row, time.monotonic(), module.node.now_ns())
 
 
-def _on_pose(handover: TimedHandover, message: PoseStamped) -> None:
-    p, q, stamp = message.pose.position, message.pose.orientation, message.header.stamp
-    pose = Pose(
-        position_m=np.array([p.x, p.y, p.z]),
-        quaternion_xyzw=np.array([q.x, q.y, q.z, q.w]),
-        stamp_ns=stamp.sec * 10**9 + stamp.nanosec,
-    )
-    handover.hear(pose, time.monotonic())
+def _on_pose(module: ControlModule, handover: TimedHandover, message: PoseStamped) -> None:
+    try:
+        handover.hear(pose_from_message(message), time.monotonic())
+    except InvalidInputError:
+        module.status.drop("malformed_pose")
 
 
 def _on_command(

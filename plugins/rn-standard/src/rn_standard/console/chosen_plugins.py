@@ -4,12 +4,11 @@ name.
 
 from __future__ import annotations
 
-import tomllib
 from argparse import ArgumentParser
 from pathlib import Path
 
 from roboneuron import ConfigurationError, nearest
-from roboneuron.command import Offer, PluginRecord, Registry
+from roboneuron.command import Offer, PluginRecord, Registry, reading
 
 
 def add_config(parser: ArgumentParser) -> None:
@@ -26,15 +25,7 @@ def read_disabled(config: Path | None) -> tuple[str, ...]:
     """Read `disabled_plugins` of a configuration file, without validating the rest of it."""
     if config is None:
         return ()
-    try:
-        names = tomllib.loads(config.read_text(encoding="utf-8")).get("disabled_plugins", [])
-    except FileNotFoundError as error:
-        hint = f"Make one to edit: roboneuron config show > {config}. Or leave --config out."
-        raise ConfigurationError(f"There is no file {config.absolute()}.", hint=hint) from error
-    except OSError as error:
-        raise ConfigurationError(f"{config} cannot be read: {error.strerror}.") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ConfigurationError(f"{config} is no valid TOML: {error}.") from error
+    names = reading.read_tables(config).get("disabled_plugins", [])
     if not (isinstance(names, list) and all(isinstance(n, str) for n in names)):
         raise ConfigurationError(
             f"disabled_plugins in {config} is {names!r}, expected a list of names of plugins."

@@ -51,8 +51,9 @@ class DemoOptions:
 
 def write_configuration(options: DemoOptions, directory: Path) -> Path:
     """Write the configuration of the server; return its path."""
-    text = options.config.read_text(encoding="utf-8") if options.config else reading.default_text()
     config = load_config(options.config)
+    # without the mark that an editor may have put in front
+    text = options.config.read_text("utf-8-sig") if options.config else reading.default_text()
     chosen: dict[str, object] = {}
     if options.seed is not None:
         chosen["seed"] = options.seed

@@ -5,18 +5,16 @@ from __future__ import annotations
 import hashlib
 import hmac
 import logging
-import os
 import re
-import stat
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from rn_standard.http.options import TokenConfig
-from roboneuron import ConfigurationError
+from roboneuron import ConfigurationError, ForeignDataError, foreign
 from roboneuron.feature import Holder
 
 log = logging.getLogger(__name__)
-_LEAST_CHARACTERS = 16
+_LEAST_CHARACTERS, _MOST_BYTES = 16, 4096
 _STOP = b"emergency_stop"
 _BEARER = re.compile(rb"\r\nauthorization:[ \t]*bearer[ \t]+([!-~]+)[ \t]*\r\n", re.IGNORECASE)
 """Source: RFC 9110, section 5.5, and RFC 6750, section 2.1."""
@@ -156,14 +154,11 @@ def _read(section: TokenConfig, environment: Mapping[str, str]) -> str:
     assert section.file is not None
     path = Path(section.file).expanduser()
     try:
-        with path.open(encoding="utf-8") as file:
-            if os.fstat(file.fileno()).st_mode & (stat.S_IRWXG | stat.S_IRWXO):
-                raise ConfigurationError(
-                    f"{where}: others can read {path}.", hint=f"chmod 600 {path}"
-                )
-            return file.read(4096).strip()
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigurationError(f"{where}: {path} cannot be read: {error}.") from error
+        return foreign.read_text(path, most_bytes=_MOST_BYTES, is_secret=True).strip()
+    except FileNotFoundError as error:
+        raise ConfigurationError(f"{where}: there is no file {path}.", hint=_NEW) from error
+    except ForeignDataError as error:
+        raise ConfigurationError(f"{where}: {error.message}.", hint=error.hint) from error
 
 
 def _digests(entries: Sequence[tuple[str, Holder]]) -> list[tuple[bytes, Holder]]:

@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from rn_standard.teleoperation.samples import Frame, LeadSample, Subscribe
-from roboneuron import InvalidInputError, RobotProfile
+from roboneuron import InvalidInputError, RobotProfile, joints_from_message
 
 if TYPE_CHECKING:
     from geometry_msgs.msg import TwistStamped
@@ -150,13 +150,18 @@ class JointTopic:
         self._is_held = bool(message.data)
 
     def _take(self, message: JointState) -> None:
-        found = dict(zip(message.name, map(float, message.position), strict=False))
+        try:
+            joints = joints_from_message(message)
+        except InvalidInputError as error:
+            self._newest.put(error)
+            return
+        found = dict(zip(joints.names, joints.position.tolist(), strict=True))
         absent = sorted(self._arm - set(found))
         if absent:
-            error = InvalidInputError(
+            told = (
                 f"The leader's joints lack {', '.join(absent)}; give them the names of the arm's."
             )
-            self._newest.put(error)
+            self._newest.put(InvalidInputError(told))
             return
         gripper, opening = self._gripper, None
         if gripper is not None and gripper.joint in found:

@@ -6,6 +6,7 @@ import logging
 import threading
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
@@ -14,7 +15,14 @@ from numpy.typing import NDArray
 
 from rn_view.sources.source import Source
 from rn_view.visualization.predicted_path import PlannedChunk
-from roboneuron import ACTION_LABEL, RobotProfile, image_from_message
+from roboneuron import (
+    ACTION_LABEL,
+    InvalidInputError,
+    RobotProfile,
+    image_from_message,
+    joints_from_message,
+    pose_from_message,
+)
 
 if TYPE_CHECKING:
     from geometry_msgs.msg import PoseStamped
@@ -60,9 +68,9 @@ class TcpTrack:
 
     def add(self, message: PoseStamped) -> None:
         """Add a measured pose."""
-        at, turn = message.pose.position, message.pose.orientation
-        position = np.array([at.x, at.y, at.z])
-        self.pose = position, np.array([turn.w, turn.x, turn.y, turn.z])
+        pose = pose_from_message(message)
+        position = pose.position_m
+        self.pose = position, np.roll(pose.quaternion_xyzw, 1)
         if not self.trail or np.linalg.norm(position - self.trail[-1]) > _LEAST_STEP_M:
             self.trail.append(position)
 
@@ -135,10 +143,15 @@ class MeasuredTopics:
         self.actions.clear()
 
     def _take(self, message_type: type[M], topic: str, callback: Callable[[M], None]) -> None:
-        self._ends.append(self._source.subscribe(message_type, topic, callback))
+        def take(message: M) -> None:
+            # what a foreign node sends is not shown
+            with suppress(InvalidInputError):
+                callback(message)
+
+        self._ends.append(self._source.subscribe(message_type, topic, take))
 
     def _on_joints(self, message: JointState) -> None:
-        self.joints = dict(zip(message.name, message.position, strict=False))
+        self.joints = _by_name(message)
 
     def _on_action(self, message: Float64MultiArray) -> None:
         dims = message.layout.dim
@@ -157,7 +170,7 @@ class MeasuredTopics:
             )
 
     def _on_command_state(self, message: JointState) -> None:
-        self.commanded = dict(zip(message.name, message.position, strict=False))
+        self.commanded = _by_name(message)
 
     def _on_image(self, camera: str, message: Image) -> None:
         pixels = image_from_message(message)
@@ -166,3 +179,8 @@ class MeasuredTopics:
         with self.news:
             self.images[camera] = number, pixels, stamp_ns
             self.news.notify_all()
+
+
+def _by_name(message: JointState) -> dict[str, float]:
+    joints = joints_from_message(message)
+    return dict(zip(joints.names, joints.position.tolist(), strict=True))

@@ -26,6 +26,7 @@ from roboneuron.contract import (
     RobotProfile,
     SeveralArms,
     SpaceController,
+    joints_from_message,
     robot_space,
 )
 from roboneuron.contract.arrays import F64
@@ -111,7 +112,7 @@ class ControlModule(HoldingModule):
     def _on_joint_state(self, message: JointState) -> None:
         now_s = time.monotonic()
         try:
-            joints = messages.joints_from_message(message)
+            joints = joints_from_message(message)
             if not self.believe(joints, now_s):
                 return
             if now_s - self._pose_s >= _POSE_PERIOD_S or not self.filters.sends(joints.stamp_ns):

@@ -20,6 +20,8 @@ from roboneuron.contract import (
     JointSample,
     Observation,
     Pose,
+    joints_from_message,
+    pose_from_message,
 )
 from roboneuron.errors import ConfigurationError, InvalidInputError
 from roboneuron.modules import settings
@@ -162,18 +164,28 @@ class NewestInputs:
     def on_joint_state(self, message: JointState) -> None:
         """Subscription callback."""
         try:
-            self._joints = messages.joints_from_message(message)
+            self._joints = joints_from_message(message)
         except InvalidInputError as error:
             self._status.drop("bad_joint_state")
             self._status.set_error(error)
 
     def on_ee_pose(self, message: PoseStamped) -> None:
-        """Subscription callback."""
-        self._ee_pose = messages.pose_from_message(message)
+        """Subscription callback. A damaged pose is counted, as an image."""
+        self._ee_pose = self._pose_of(message) or self._ee_pose
 
     def on_arm_pose(self, arm: str, message: PoseStamped) -> None:
         """Subscription callback for the TCP of one of several arms."""
-        self._arm_poses[arm] = messages.pose_from_message(message)
+        pose = self._pose_of(message)
+        if pose is not None:
+            self._arm_poses[arm] = pose
+
+    def _pose_of(self, message: PoseStamped) -> Pose | None:
+        try:
+            return pose_from_message(message)
+        except InvalidInputError as error:
+            self._status.drop("bad_pose")
+            self._status.set_error(error)
+            return None
 
     def check_types(self, types: Mapping[str, list[str]], namespace: str) -> None:
         """Compare the graph's types with the contract's: DDS does not connect different types, and

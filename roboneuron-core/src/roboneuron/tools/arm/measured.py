@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from roboneuron.contract import Pose
 from roboneuron.errors import NotReadyError
 from roboneuron.server.host import Host
+from roboneuron.sight.inputs import pose_of
 
 if TYPE_CHECKING:
     from geometry_msgs.msg import PoseStamped
@@ -75,7 +76,7 @@ class MeasuredPose:
         self._topic = f"/{namespace}/{f'{arm}/' if arm else ''}ee_pose"
         self._lock = threading.Lock()
         self._is_open = False
-        self._newest: tuple[float, object] | None = None
+        self._newest: tuple[float, Pose] | None = None
         self.speeds = SpeedMeter()
         self.listeners: list[Callable[[float], object]] = []
         """Called with the height of the TCP [m] of each message, on the thread of the ROS node."""
@@ -96,7 +97,7 @@ class MeasuredPose:
         while True:
             newest = self._newest
             if newest is not None and time.monotonic() - newest[0] <= _AGE_S:
-                pose = _pose(newest[1])
+                pose = newest[1]
                 if pose.stamp_ns > newer_than_ns:
                     return pose
             is_late = time.monotonic() > deadline_s
@@ -123,19 +124,10 @@ class MeasuredPose:
                 self._is_open = True
 
     def _take(self, message: PoseStamped) -> None:
-        now_s, stamp, place = time.monotonic(), message.header.stamp, message.pose.position
-        self._newest = now_s, message
-        stamp_s = stamp.sec + stamp.nanosec * 1e-9
-        self.speeds.note(stamp_s, np.array([place.x, place.y, place.z]), now_s)
+        pose, now_s = pose_of(message), time.monotonic()
+        if pose is None:
+            return
+        self._newest = now_s, pose
+        self.speeds.note(pose.stamp_ns / 1e9, pose.position_m, now_s)
         for listener in self.listeners:
-            listener(float(message.pose.position.z))
-
-
-def _pose(message: PoseStamped) -> Pose:
-    """geometry_msgs/PoseStamped -> Pose."""
-    stamp, p, q = message.header.stamp, message.pose.position, message.pose.orientation
-    return Pose(
-        position_m=np.array([p.x, p.y, p.z]),
-        quaternion_xyzw=np.array([q.x, q.y, q.z, q.w]),
-        stamp_ns=stamp.sec * 1_000_000_000 + stamp.nanosec,
-    )
+            listener(float(pose.position_m[2]))

@@ -36,8 +36,8 @@ class MotionMeter:
     def note(self, message: Any) -> None:
         """Take a measured pose (geometry_msgs/PoseStamped)."""
         pose = pose_of(message)
-        assert pose is not None
-        self._speeds.note(pose.stamp_ns / 1e9, pose.position_m, time.monotonic())
+        if pose is not None:
+            self._speeds.note(pose.stamp_ns / 1e9, pose.position_m, time.monotonic())
 
     @property
     def highest_m_s(self) -> float | None:
