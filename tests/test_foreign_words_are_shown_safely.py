@@ -10,7 +10,6 @@ import logging
 import sys
 from argparse import ArgumentParser
 from collections.abc import Callable
-from datetime import UTC, datetime
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -209,7 +208,7 @@ def ros_list(text: str, folder: Path) -> None:
 
 
 def link_status(text: str, folder: Path) -> None:
-    print(spoken(PeerConnection(error=text), datetime.now(UTC)))
+    print(spoken(PeerConnection(error=text)))
 
 
 def approval(text: str, folder: Path) -> None:

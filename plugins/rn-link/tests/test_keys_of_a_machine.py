@@ -26,11 +26,11 @@ from rn_link.machine import (
     check_port,
     read_machine,
 )
-from rn_link.profile import NAMESPACE
 from rn_link.tls import own_context, tls_context
 from roboneuron import ConfigurationError
 
 PEER = Peer("10.1.2.3", 7500)
+NAMESPACE = "http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"
 
 
 @pytest.fixture

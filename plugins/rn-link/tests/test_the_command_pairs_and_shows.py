@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import subprocess
@@ -54,8 +53,7 @@ def test_two_machines_are_paired_shown_and_parted(tmp_path: Path) -> None:
         adding.kill()
         adding.wait(10.0)
     assert "gpu is added: 127.0.0.1, TCP 7411" in output.read_text()
-    shown = json.loads(link(robot, "show", "--json").stdout)
-    assert shown["peers"] == {"gpu": ["127.0.0.1", 7411]}
+    assert "The machine gpu (127.0.0.1, TCP 7411) is NOT connected" in link(robot, "show").stdout
     again = link(robot, "add", "gpu", "--port", str(PORT))
     assert again.returncode == 2
     assert "paired already" in again.stderr
@@ -63,9 +61,9 @@ def test_two_machines_are_paired_shown_and_parted(tmp_path: Path) -> None:
     assert refused.returncode == 2
     assert "Type the command on robot" in refused.stderr
     assert "gpu is removed" in link(robot, "remove", "gpu").stdout
-    assert json.loads(link(robot, "show", "--json").stdout)["peers"] == {}
+    assert "gpu" not in link(robot, "show").stdout
     assert "removed" in link(gpu, "remove", "--all").stdout
-    assert json.loads(link(gpu, "show", "--json").stdout) == {}
+    assert "no link" in link(gpu, "show").stdout
 
 
 @pytest.mark.sampled(every=3)
@@ -104,12 +102,9 @@ def test_a_host_name_is_put_into_form(monkeypatch: pytest.MonkeyPatch) -> None:
         assert host_name() == expected
 
 
-@pytest.mark.parametrize("mode", [0o666, 0o640, 0o602])
-def test_a_key_that_others_may_use_is_named(tmp_path: Path, mode: int) -> None:
+def test_a_key_that_others_may_use_is_named(tmp_path: Path) -> None:
     assert link(tmp_path, "init", "--name", "robot").returncode == 0
+    assert not link(tmp_path, "show").stderr
     key = tmp_path / "roboneuron" / "link" / "own.key"
-    assert str(key) not in link(tmp_path, "show").stderr
-    key.chmod(mode)
-    told = link(tmp_path, "show").stderr
-    assert str(key) in told
-    assert f"chmod go= {key}" in told
+    key.chmod(0o640)
+    assert f"chmod go= {key}" in link(tmp_path, "show").stderr

@@ -5,20 +5,13 @@ robot and reads the other's; a cut cable stops neither robot, and both machines 
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
 from pathlib import Path
-from typing import Any
 
 import anyio
 import pytest
+from link_cells import agent_of, until_connected
 from link_machines import Machine, impossible, machines
 from link_pairs import pair
-from mcp import Client, StdioServerParameters
-from mcp.client.stdio import stdio_client
 
 from rn_testing.agent import Agent
 
@@ -33,8 +26,6 @@ ARM = """
 name = "fr3"
 [control]
 controller = "urdf"
-[link]
-required = true
 [[expose]]
 name = "far_odom"
 kind = "read"
@@ -44,64 +35,15 @@ type = "nav_msgs/msg/Odometry"
 BASE = """
 [robot]
 name = "diffdrive"
-[link]
-required = true
 [[expose]]
 name = "far_joints"
 kind = "read"
 topic = "/fr3/joint_states"
 type = "sensor_msgs/msg/JointState"
 """
-PROGRAM = str(Path(sys.executable).with_name("roboneuron"))
-BOUND_S = 40.0
 
 
-class LinkedAgent(Agent):
-    """A client of one machine's server."""
-
-    def __init__(self, client: Client, machine: Machine) -> None:
-        super().__init__(client)
-        self._machine = machine
-
-    async def connection(self, name: str) -> dict[str, str]:
-        """Connection to another machine, as shown by `link show`."""
-        shown = await anyio.to_thread.run_sync(self._show)
-        found = shown["connections"][name]
-        assert isinstance(found, dict)
-        return found
-
-    def _show(self) -> dict[str, Any]:
-        environment = {**os.environ, "XDG_STATE_HOME": str(self._machine.state)}
-        command = self._machine.inside(PROGRAM, "link", "show", "--json")
-        done = subprocess.run(command, env=environment, capture_output=True, check=True)
-        shown: dict[str, Any] = json.loads(done.stdout)
-        return shown
-
-    async def until_connected(self, name: str, is_open: bool) -> dict[str, str]:
-        """Wait until the machine reports another one as connected, or not."""
-        with anyio.fail_after(BOUND_S):
-            while bool((found := await self.connection(name))["since"]) is not is_open:
-                await anyio.sleep(0.5)
-        return found
-
-
-@asynccontextmanager
-async def agent_of(machine: Machine, config: str) -> AsyncIterator[LinkedAgent]:
-    """A server of that machine, and its client."""
-    path = machine.state / "roboneuron.toml"
-    path.write_text(config)
-    words = ["-m", "roboneuron.cli.main", "serve", "--config", str(path), "--log-level", "error"]
-    command, *arguments = machine.inside(sys.executable, *words)
-    server = StdioServerParameters(
-        command=command,
-        args=arguments,
-        env={**os.environ, "XDG_STATE_HOME": str(machine.state)},
-    )
-    async with Client(stdio_client(server)) as client:
-        yield LinkedAgent(client, machine)
-
-
-async def odometry(agent: LinkedAgent, tool: str) -> float:
+async def odometry(agent: Agent, tool: str) -> float:
     """Position of the base along x, read from one of the servers."""
     read = await agent.do(tool, timeout_s=30.0)
     x_m = read["messages"][0]["pose"]["pose"]["position"]["x"]
@@ -109,13 +51,13 @@ async def odometry(agent: LinkedAgent, tool: str) -> float:
     return x_m
 
 
-async def use_both(arm: LinkedAgent, base: LinkedAgent, gpu: Machine) -> None:
+async def use_both(arm: Agent, base: Agent, robot: Machine, gpu: Machine) -> None:
     """Run the scenario."""
     await arm.do("start_robot")
     await arm.do("start_control")
     await base.do("start_robot")
-    linked = [await arm.until_connected("gpu", True), await base.until_connected("robot", True)]
-    assert all(one["error"] == "" for one in linked)
+    linked = [await until_connected(robot, "gpu", True), await until_connected(gpu, "robot", True)]
+    assert all(one.error == "" for one in linked)
     # each agent reads the other's robot, and moves its own
     near = await base.do("read_far_joints", timeout_s=30.0)
     assert "fr3_joint1" in near["messages"][0]["name"]
@@ -134,17 +76,17 @@ async def use_both(arm: LinkedAgent, base: LinkedAgent, gpu: Machine) -> None:
     assert await odometry(arm, "read_far_odom") > before_m + 0.1
     # a cut cable stops neither, and is reported on both sides
     gpu.cut()
-    cut = await arm.until_connected("gpu", False)
-    assert "Is gpu on, 10.213.91.2 its address, and its TCP port 7411 open?" in cut["hint"], cut
-    assert (await base.until_connected("robot", False))["hint"]
+    cut = await until_connected(robot, "gpu", False)
+    assert "Is gpu on, 10.213.91.2 its address, and its TCP port 7411 open?" in cut.hint, cut
+    assert (await until_connected(gpu, "robot", False)).hint
     await base.do("publish_velocity", message=twist, duration_s=1.0)
     await arm.do("read_joint_states", timeout_s=10.0)
     succeeded, _, text = await arm.call("read_far_odom", timeout_s=2.0)
     assert not succeeded, "the cable is cut"
     assert "nothing came" in text or "Nobody publishes" in text
     gpu.plug()
-    await arm.until_connected("gpu", True)
-    await base.until_connected("robot", True)
+    await until_connected(robot, "gpu", True)
+    await until_connected(gpu, "robot", True)
     assert await odometry(arm, "read_far_odom") > before_m
 
 
@@ -156,6 +98,6 @@ def test_two_servers_share_a_link(tmp_path: Path) -> None:
                 agent_of(made["robot"], ARM) as arm,
                 agent_of(made["gpu"], BASE) as base,
             ):
-                await use_both(arm, base, made["gpu"])
+                await use_both(arm, base, made["robot"], made["gpu"])
 
     anyio.run(scenario)

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import asyncio
-import json
 import re
 import socket
 import sys
 import threading
 from argparse import ArgumentParser, Namespace
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
-from datetime import UTC, datetime
 from pathlib import Path
 
 from rn_link.machine import (
@@ -28,7 +25,8 @@ from roboneuron import ConfigurationError, foreign
 
 _PAIRING_PORT = 7410
 _RESTART = "Restart the server and its modules if they were running before the first pairing."
-_NO_RELAY = "No relay is running: start RoboNeuron, or `roboneuron link run`."
+_NO_RELAY = "Start RoboNeuron, or `roboneuron link run`."
+_SOON = "Look again in a moment."
 _FOLLOWS = "Running processes follow within two seconds."
 
 
@@ -55,8 +53,7 @@ class LinkCommand:
         add.add_argument(
             "--port", type=int, default=_PAIRING_PORT, help="pairing port (%(default)s)"
         )
-        show = actions.add_parser("show", help="machines, addresses and connections")
-        show.add_argument("--json", action="store_true", help="for programs")
+        actions.add_parser("show", help="machines, addresses and connections")
         actions.add_parser("run", help="keep this machine linked without a server")
         remove = actions.add_parser(
             "remove", help="revoke a member; or leave the link, on a member or with --all"
@@ -74,18 +71,10 @@ class LinkCommand:
         """
         folder = link_folder()
         machine = read_machine(folder)
-        if machine is None or not machine.peers:
+        if machine is None:
             return ()
         connections = read_connections(folder)
-        if connections is None:
-            others = ", ".join(machine.peers)
-            return [(False, f"The link to {others} is down: no relay is running.", _NO_RELAY)]
-        now, found = datetime.now(UTC), []
-        for name in machine.peers:
-            one = _connection(connections, name)
-            hint = "" if one.is_open else one.hint or "Check again in a moment."
-            found.append((one.is_open, f"The machine {name} is {spoken(one, now)}.", hint))
-        return found
+        return [_finding(machine, name, connections) for name in machine.peers]
 
     def run(self, arguments: Namespace) -> int:
         """Run `roboneuron link`."""
@@ -97,7 +86,7 @@ class LinkCommand:
         elif arguments.action == "add":
             _add(folder, arguments)
         elif arguments.action == "show":
-            _show(folder, arguments.json)
+            _show(folder)
         elif arguments.action == "run":
             _run(folder)
         else:
@@ -148,50 +137,40 @@ def _add(folder: Path, arguments: Namespace) -> None:
     _say(f"{arguments.name} is added: {peer.address}, TCP {peer.port}. {_RESTART}")
 
 
-def _show(folder: Path, as_json: bool) -> None:
+def _show(folder: Path) -> None:
     machine = read_machine(folder)
     if machine is None:
-        told = "This machine has no link. `roboneuron link init` creates one."
-        _say("{}" if as_json else told)
+        _say("This machine has no link. `roboneuron link init` creates one.")
         return
     try:
         check_private(folder)
     except OSError as error:
         _complain(f"The key of this machine is not used: {error}.")
+    _say(f"This machine is the {machine.role} {machine.name}.")
     connections = read_connections(folder)
-    if as_json:
-        states = {name: asdict(_connection(connections or {}, name)) for name in machine.peers}
-        facts = asdict(machine) | {"connections": None if connections is None else states}
-        _say(json.dumps(facts, indent=2))
-        return
-    now = datetime.now(UTC)
-    width = max(len(name) for name in (machine.name, *machine.peers))
-    _say(f"{machine.name:<{width}}  {machine.role}, this machine")
-    for name, peer in machine.peers.items():
-        place = f"{peer.address}, TCP {peer.port}" if machine.role == "hub" else peer.address
-        if connections is None:
-            _say(f"{name:<{width}}  {place}")
-            continue
-        connection = _connection(connections, name)
-        _say(f"{name:<{width}}  {place}; {spoken(connection, now)}")
-        if connection.hint:
-            _say(f"{'':<{width}}  {foreign.printable(connection.hint)}")
-    if connections is None and machine.peers:
-        _say(_NO_RELAY)
+    for name in machine.peers:
+        _, told, hint = _finding(machine, name, connections)
+        _say(f"{told} {hint}".rstrip())
 
 
-def _connection(connections: Mapping[str, PeerConnection], name: str) -> PeerConnection:
-    return connections.get(name, PeerConnection(error="it is being connected"))
+def _finding(
+    machine: Machine, name: str, connections: Mapping[str, PeerConnection] | None
+) -> tuple[bool, str, str]:
+    """Whether a machine is connected, a description, and a remedy."""
+    peer = machine.peers[name]
+    listens = f", TCP {peer.port}" if machine.role == "hub" else ""
+    place = f"The machine {name} ({peer.address}{listens}) is"
+    if connections is None:
+        return False, f"{place} NOT connected: no relay is running.", _NO_RELAY
+    found = connections.get(name, PeerConnection(error="it is being connected", hint=_SOON))
+    return found.is_open, f"{place} {spoken(found)}.", foreign.printable(found.hint)
 
 
-def spoken(connection: PeerConnection, now: datetime) -> str:
+def spoken(connection: PeerConnection) -> str:
     """State of a connection in words."""
-    if not connection.is_open:
-        return f"NOT connected: {foreign.printable(connection.error)}"
-    seconds = max(0, int((now - datetime.fromisoformat(connection.since)).total_seconds()))
-    hours, minutes = divmod(seconds // 60, 60)
-    lasted = f"{hours} h {minutes} min" if hours else f"{minutes} min {seconds % 60} s"
-    return f"connected for {lasted}, since {connection.since[:19].replace('T', ' ')} UTC"
+    if connection.is_open:
+        return f"connected since {foreign.printable(connection.since)}"
+    return f"NOT connected: {foreign.printable(connection.error)}"
 
 
 def _run(folder: Path) -> None:

@@ -6,6 +6,7 @@ Standard library only: every process imports this.
 from __future__ import annotations
 
 import json
+import logging
 import os
 import re
 from collections.abc import Mapping
@@ -20,6 +21,7 @@ from roboneuron import (
     foreign,
 )
 
+log = logging.getLogger("rn_link")
 Role = Literal["hub", "member"]
 """The hub admits machines and connects to its members, which listen."""
 PORT = 7411
@@ -96,6 +98,16 @@ def link_folder() -> Path:
     """Folder of the keys, certificates and profile of this user's link."""
     base = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
     return Path(base) / "roboneuron" / "link"
+
+
+def write_state(path: Path, text: str) -> None:
+    """Replace a file of the relay, unless that fails, as while the link is being removed."""
+    fresh = path.with_suffix(".new")
+    try:
+        fresh.write_text(text, encoding="utf-8")
+        fresh.replace(path)
+    except OSError as error:
+        log.warning("%s cannot be saved: %s", path.name, error)
 
 
 def read_machine(folder: Path) -> Machine | None:

@@ -14,7 +14,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
-from rn_link.machine import DISCOVERY_PORT, LOOPBACK, RELAY, THERE, check_name
+from rn_link.machine import DISCOVERY_PORT, LOOPBACK, RELAY, THERE, check_name, write_state
 from rn_link.rtps import Announcement, domain_of, read_announcement, with_places
 from roboneuron import ConfigurationError, ForeignDataError, foreign
 
@@ -178,12 +178,7 @@ class Ports:
         }
         text = json.dumps(facts)
         if text != self._saved:
-            fresh = self._record.with_suffix(".new")
-            try:
-                fresh.write_text(text, encoding="utf-8")
-                fresh.replace(self._record)
-            except OSError as error:  # also while the link is being removed
-                log.warning("The ports cannot be saved for the next relay: %s", error)
+            write_state(self._record, text)
             self._saved = text
 
     def _restore(self) -> None:

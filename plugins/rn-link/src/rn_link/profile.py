@@ -7,14 +7,15 @@ from __future__ import annotations
 
 from importlib.resources import files
 from pathlib import Path
-from xml.etree import ElementTree
 
 from rn_link.machine import DISCOVERY_PORT, LOOPBACK, RELAY
 
-NAMESPACE = "http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"
 BUFFER_BYTES = 4_194_304
 """Size of a participant's UDP socket buffer: an image arrives as many datagrams at once."""
 LIMIT = Path("/proc/sys/net/core/rmem_max")
+_UDP = "<type>UDPv4</type>"
+_BUILTIN = "</builtin>"
+"""Places of the shipped profile."""
 
 
 def fast_dds_profile() -> str:
@@ -22,46 +23,22 @@ def fast_dds_profile() -> str:
     peer.
 
     Processes of one machine find each other by UDP on the loopback interface, as without a link.
+
+    Raises:
+        LookupError: the shipped profile is of another form.
     """
-    ElementTree.register_namespace("", NAMESPACE)
     shipped = files("roboneuron").joinpath("data/fastdds.xml").read_text(encoding="utf-8")
-    root = ElementTree.fromstring(shipped)
-    for transport in _child(root, "transport_descriptors"):
-        if _child(transport, "type").text == "UDPv4":
-            _add(transport, "receiveBufferSize", str(receive_buffer_bytes()))
-            _add(_add(transport, "interfaceWhiteList"), "address", LOOPBACK)
-    rtps = _child(_child(root, "participant"), "rtps")
-    _child(rtps, "builtin").append(_initial_peers())
-    ElementTree.indent(root)
-    return ElementTree.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
-
-
-def receive_buffer_bytes() -> int:
-    """Largest size that this machine's kernel allows, at most BUFFER_BYTES."""
-    return min(BUFFER_BYTES, int(LIMIT.read_text(encoding="ascii")))
-
-
-def _initial_peers() -> ElementTree.Element:
-    peers = ElementTree.Element(_tag("initialPeersList"))
-    relay = _add(_add(peers, "locator"), "udpv4")
-    _add(relay, "address", RELAY)
-    _add(relay, "port", str(DISCOVERY_PORT))
-    _add(_add(_add(peers, "locator"), "udpv4"), "address", LOOPBACK)
-    return peers
-
-
-def _tag(name: str) -> str:
-    return f"{{{NAMESPACE}}}{name}"
-
-
-def _child(parent: ElementTree.Element, name: str) -> ElementTree.Element:
-    found = parent.find(_tag(name))
-    if found is None:
-        raise LookupError(f"the shipped profile has no {name} in {parent.tag}")
-    return found
-
-
-def _add(parent: ElementTree.Element, name: str, text: str | None = None) -> ElementTree.Element:
-    child = ElementTree.SubElement(parent, _tag(name))
-    child.text = text
-    return child
+    for place in (_UDP, _BUILTIN):
+        if shipped.count(place) != 1:
+            raise LookupError(f"the shipped profile has {place} {shipped.count(place)} times")
+    size = min(BUFFER_BYTES, int(LIMIT.read_text(encoding="ascii")))
+    udp = f"""{_UDP}
+      <receiveBufferSize>{size}</receiveBufferSize>
+      <interfaceWhiteList><address>{LOOPBACK}</address></interfaceWhiteList>"""
+    relay = f"<address>{RELAY}</address><port>{DISCOVERY_PORT}</port>"
+    peers = f"""<initialPeersList>
+          <locator><udpv4>{relay}</udpv4></locator>
+          <locator><udpv4><address>{LOOPBACK}</address></udpv4></locator>
+        </initialPeersList>
+      {_BUILTIN}"""
+    return shipped.replace(_UDP, udp).replace(_BUILTIN, peers)

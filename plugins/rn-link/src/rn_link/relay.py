@@ -17,7 +17,7 @@ from pathlib import Path
 
 from rn_link.machine import Machine, link_folder, read_machine
 from rn_link.ports import ParticipantPort, Ports
-from rn_link.state import StateFile, hint_for, waiting_hint
+from rn_link.state import PeerConnection, StateFile, connected_now, hint_for
 from rn_link.stream import LinkStream
 from rn_link.tls import tls_context
 from roboneuron import ConfigurationError
@@ -25,8 +25,9 @@ from roboneuron import ConfigurationError
 log = logging.getLogger("rn_link")
 LOOK_S = 0.5
 """Period of checks for changes of the link."""
+PAUSE_S = 0.5
+"""Pause between two attempts to connect."""
 _ATTEMPT_S = 3.0
-_PAUSE_S = 0.5
 
 
 class Relay:
@@ -38,7 +39,6 @@ class Relay:
         self._streams: dict[str, LinkStream] = {}
         self._tasks: dict[str, asyncio.Task[None]] = {}
         self._known: dict[str, tuple[object, ...]] = {}
-        self._accepted: set[asyncio.Task[None]] = set()
         self._state = StateFile(folder)
 
     async def run(self, ended: asyncio.Event) -> None:
@@ -55,24 +55,17 @@ class Relay:
         finally:
             for name in list(self._known):
                 await self._leave(name)
-            await asyncio.gather(*self._accepted)
             self._ports.close()
 
     async def _follow(self, machine: Machine) -> None:
-        """Disconnect removed machines, and reconnect those whose certificates have
-        changed.
-        """
+        """Disconnect removed machines, and reconnect those whose certificates have changed."""
         found = {name: _stamps(self._folder, machine, name) for name in machine.peers}
         for name, stamps in list(self._known.items()):
             if found.get(name) != stamps:
                 await self._leave(name)
         for name in found.keys() - self._known.keys():
             self._known[name] = found[name]
-            self._tasks[name] = asyncio.create_task(
-                self._connect(name, machine)
-                if machine.role == "hub"
-                else self._listen(name, machine)
-            )
+            self._tasks[name] = asyncio.create_task(self._keep(name, machine))
 
     async def _leave(self, name: str) -> None:
         """End the connection of a machine."""
@@ -89,51 +82,35 @@ class Relay:
             if machine in (None, name):
                 stream.send(place, message)
 
-    async def _context(self, name: str, machine: Machine) -> ssl.SSLContext:
-        """The TLS context for a machine, once its files can be used; the other machines stay
-        connected meanwhile.
-        """
-        hint = (
-            f"Check own.pem, own.key and peers/{name}.pem in {self._folder}, or pair {name} "
-            "again with `roboneuron link`."
-        )
-        logged = ""
+    async def _keep(self, name: str, machine: Machine) -> None:
+        """Keep a machine connected, with endless retries; no error of one concerns another."""
+        meet = self._connect if machine.role == "hub" else self._listen
         while True:
             try:
-                return tls_context(machine, self._folder, name)
+                context = tls_context(machine, self._folder, name)
             except OSError as error:  # includes TLS errors
-                told = f"its keys cannot be used: {error}"
-            self._state.unconnected(name, told, hint)
-            if told != logged:
-                logged = told
-                log.warning("No link to %s: %s", name, told)
-            await asyncio.sleep(_PAUSE_S)
-
-    async def _connect(self, name: str, machine: Machine) -> None:
-        """Connect to a member, with endless retries."""
-        context = await self._context(name, machine)
-        logged = ""
-        peer = machine.peers[name]
-        while True:
-            try:
-                async with asyncio.timeout(_ATTEMPT_S):
-                    connection = await asyncio.open_connection(*peer, ssl=context)
-            except OSError as error:  # includes TLS errors and timeouts
-                told = str(error) or "no answer"
-                self._state.unconnected(name, told, hint_for(machine, name, error))
-                if repr(error) != logged:
-                    logged = repr(error)
-                    log.warning("No link to %s: %s", name, told)
+                files = f"own.pem, own.key and peers/{name}.pem in {self._folder}"
+                hint = f"Check {files}, or pair {name} again with `roboneuron link`."
+                failed = PeerConnection(error=f"its keys cannot be used: {error}", hint=hint)
+                self._state.set(name, failed)
             else:
-                logged = ""
-                await self._carry(name, machine, *connection)
-            await asyncio.sleep(_PAUSE_S)
+                try:
+                    await meet(name, machine, context)
+                except OSError as error:  # includes TLS errors and timeouts
+                    told = str(error) or "no answer"
+                    hint = hint_for(machine, name, error)
+                    self._state.set(name, PeerConnection(error=told, hint=hint))
+            await asyncio.sleep(PAUSE_S)
 
-    async def _listen(self, name: str, machine: Machine) -> None:
-        """Listen for the hub."""
-        context = await self._context(name, machine)
+    async def _connect(self, name: str, machine: Machine, context: ssl.SSLContext) -> None:
+        """Connect to a member until the connection ends."""
+        async with asyncio.timeout(_ATTEMPT_S):
+            connection = await asyncio.open_connection(*machine.peers[name], ssl=context)
+        await self._carry(name, machine, *connection)
+
+    async def _listen(self, name: str, machine: Machine, context: ssl.SSLContext) -> None:
+        """Listen for the hub until cancelled."""
         task = asyncio.current_task()
-        self._state.unconnected(name, "it has not connected yet", waiting_hint(machine, name))
 
         async def accept(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
             if self._tasks.get(name) is not task:  # removed during the handshake
@@ -142,24 +119,20 @@ class Relay:
             # the hub reconnects after losing a connection that still looks alive on this side
             if name in self._streams:
                 self._streams[name].close()
-            carried = asyncio.ensure_future(self._carry(name, machine, reader, writer))
-            self._accepted.add(carried)
-            carried.add_done_callback(self._accepted.discard)
+            await self._carry(name, machine, reader, writer)
 
-        while True:
-            try:
-                server = await asyncio.start_server(
-                    accept, "0.0.0.0", machine.port, ssl=context, ssl_handshake_timeout=_ATTEMPT_S
-                )
-            except OSError as error:
-                self._state.unconnected(name, str(error), "End the process that uses that port.")
-                log.warning("The link cannot listen: %s", error)
-                await asyncio.sleep(_PAUSE_S)
-                continue
-            try:
-                await asyncio.get_running_loop().create_future()
-            finally:
-                server.close()
+        server = await asyncio.start_server(
+            accept, "0.0.0.0", machine.port, ssl=context, ssl_handshake_timeout=_ATTEMPT_S
+        )
+        hint = (
+            f"Start RoboNeuron on {name}, or `roboneuron link run`; it has to reach TCP "
+            f"{machine.port} here."
+        )
+        self._state.set(name, PeerConnection(error="it has not connected yet", hint=hint))
+        try:
+            await asyncio.get_running_loop().create_future()
+        finally:
+            server.close()
 
     async def _carry(
         self,
@@ -172,14 +145,13 @@ class Relay:
         try:
             stream = LinkStream(reader, writer, partial(self._ports.deliver, name))
             self._streams[name] = stream
-            log.warning("Linked to %s.", name)
-            self._state.connected(name)
+            self._state.set(name, connected_now())
             await stream.run()
         except (OSError, EOFError) as error:
-            log.warning("The link to %s is lost: %s", name, error)
             if self._streams.get(name) is stream:
                 told = "the other side has ended it" if isinstance(error, EOFError) else str(error)
-                self._state.unconnected(name, f"lost: {told}", hint_for(machine, name, error))
+                hint = hint_for(machine, name, error)
+                self._state.set(name, PeerConnection(error=f"lost: {told}", hint=hint))
         finally:
             writer.transport.abort()
             if stream is not None and self._streams.get(name) is stream:

@@ -15,7 +15,7 @@ from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from rn_link.machine import Machine
+from rn_link.machine import Machine, write_state
 from roboneuron import ForeignDataError, foreign
 
 log = logging.getLogger("rn_link")
@@ -44,39 +44,37 @@ class PeerConnection:
         return bool(self.since)
 
 
+def connected_now() -> PeerConnection:
+    """A connection that begins now."""
+    return PeerConnection(since=datetime.now(UTC).isoformat(timespec="seconds"))
+
+
 class StateFile:
-    """The connections of this machine, stored in a file from the relay's start on."""
+    """The connections of this machine, logged and stored in a file as they change."""
 
     def __init__(self, folder: Path) -> None:
         self._path = folder / STATE
         self._peers: dict[str, PeerConnection] = {}
 
-    def connected(self, name: str) -> None:
-        """Set a machine as connected."""
-        self._keep(name, PeerConnection(since=datetime.now(UTC).isoformat(timespec="seconds")))
-
-    def unconnected(self, name: str, error: str, hint: str) -> None:
-        """Set a machine as not connected."""
-        self._keep(name, PeerConnection(error=error, hint=hint))
+    def set(self, name: str, connection: PeerConnection) -> None:
+        """Set the connection of a machine."""
+        if self._peers.get(name) != connection:
+            if connection.is_open:
+                log.warning("Linked to %s.", name)
+            else:
+                log.warning("No link to %s: %s.", name, connection.error)
+            self._peers[name] = connection
+            self._write()
 
     def forget(self, name: str) -> None:
         """Delete a removed machine."""
         if self._peers.pop(name, None) is not None:
             self._write()
 
-    def _keep(self, name: str, connection: PeerConnection) -> None:
-        if self._peers.get(name) != connection:
-            self._peers[name] = connection
-            self._write()
-
     def _write(self) -> None:
-        fresh = self._path.with_suffix(".new")
-        text = json.dumps({name: asdict(one) for name, one in self._peers.items()}, indent=1)
-        try:
-            fresh.write_text(text, encoding="utf-8")
-            fresh.replace(self._path)
-        except OSError as error:  # also while the link is being removed
-            log.warning("The state of the connections cannot be saved: %s", error)
+        write_state(
+            self._path, json.dumps({name: asdict(one) for name, one in self._peers.items()})
+        )
 
 
 def read_connections(folder: Path) -> dict[str, PeerConnection] | None:
@@ -106,28 +104,16 @@ def read_connections(folder: Path) -> dict[str, PeerConnection] | None:
 
 
 def hint_for(machine: Machine, name: str, error: BaseException) -> str:
-    """Remedy for a failed connection attempt.
-
-    Args:
-        machine: this machine.
-        name: name of the other machine.
-        error: error of the attempt or of the connection.
-    """
+    """Remedy for a connection to a machine that failed or ended."""
     peer = machine.peers[name]
     if isinstance(error, ssl.SSLError):
         return f"Pair it again: `roboneuron link remove {name}` and `link add {name}` on the hub."
     if isinstance(error, ConnectionRefusedError):
         return f"Start RoboNeuron on {name}, or `roboneuron link run`."
+    if isinstance(error, OSError) and error.errno == errno.EADDRINUSE:
+        return "End the process that uses that port."
     if isinstance(error, TimeoutError) or (
         isinstance(error, OSError) and error.errno in _UNREACHABLE
     ):
         return f"Is {name} on, {peer.address} its address, and its TCP port {peer.port} open?"
     return f"Check {name} and the network; the connection is retried."
-
-
-def waiting_hint(machine: Machine, name: str) -> str:
-    """Remedy for a member that the hub has not connected to."""
-    return (
-        f"Start RoboNeuron on {name}, or `roboneuron link run`; it has to reach TCP {machine.port} "
-        "here."
-    )
