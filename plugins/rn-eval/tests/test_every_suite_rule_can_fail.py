@@ -20,6 +20,7 @@ from rn_eval.contract_cases import SuiteCase
 from rn_eval.hooks import SuiteSpec
 from rn_eval.suite import Setup
 from rn_eval.suite_rules import RULES
+from rn_testing import effects
 from rn_testing.fakes import gantry_profile
 from rn_testing.rule import RuleVerdict
 from rn_testing.verification import verify
@@ -267,6 +268,7 @@ def test_the_toy_keeps_every_rule(rule, monkeypatch):
 @pytest.mark.parametrize("name", MUTANTS)
 def test_a_broken_suite_fails_its_rule(name, monkeypatch):
     rule_name, target = MUTANTS[name]
+    monkeypatch.setattr(effects, "RELEASE_S", 0.3)  # what a mutant leaves open stays for seconds
     outcome = verify(own(rule_name), make_case(target, monkeypatch))
     assert outcome.verdict is RuleVerdict.FAILED, outcome
     assert outcome.detail

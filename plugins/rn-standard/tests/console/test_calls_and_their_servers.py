@@ -19,7 +19,12 @@ def run(state: Path, *words: str) -> subprocess.CompletedProcess[str]:
         text=True,
         timeout=120,
         check=False,
-        env={"PATH": "/usr/bin:/bin", "XDG_STATE_HOME": str(state), "HOME": str(state)},
+        env={
+            "PATH": "/usr/bin:/bin",
+            "XDG_STATE_HOME": str(state),
+            "HOME": str(state),
+            "ROBONEURON_RECORDER": "off",
+        },
         stdin=subprocess.DEVNULL,
     )
 

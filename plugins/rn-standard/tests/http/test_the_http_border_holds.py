@@ -18,6 +18,7 @@ import pytest
 from wire_server import HELLO, PAGE, TABLE, TOKENS, Server, answer_of, bearer, serving
 
 from rn_standard.http import connections
+from rn_standard.http import listener as listener_module
 from rn_standard.http.connections import BODY_S, HEADERS_S, ConnectionTable
 from rn_standard.http.operator_lease import OperatorLease
 from rn_standard.http.options import HttpOptions
@@ -58,6 +59,7 @@ def test_half_open_connections_shut_nobody_out(
     server: Server, monkeypatch: pytest.MonkeyPatch, said: bytes
 ) -> None:
     monkeypatch.setattr(connections, "HEADERS_S", 90.0)
+    monkeypatch.setattr(listener_module, "SILENT_S", 1.0)
     with ExitStack() as stack:
         crowd = []
         for _ in range(600):
