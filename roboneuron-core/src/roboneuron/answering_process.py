@@ -27,7 +27,7 @@ from roboneuron.hang_watch import VARIABLE
 __all__ = ["AnsweringProcess"]
 """Names that other distributions may use."""
 
-COMMAND = (sys.executable, "-m", "roboneuron.hang_watch", "roboneuron.answering_process")
+COMMAND = (sys.executable, "-P", "-m", "roboneuron.hang_watch", "roboneuron.answering_process")
 """Command line, to which the descriptor of its socket is added."""
 MOST_BYTES = 64 << 20
 """Largest answer [bytes]: a picture of 4096 x 4096 pixels has 48 MiB."""

@@ -16,13 +16,16 @@ import json
 import math
 import os
 import stat
+import threading
 import tomllib
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any, Protocol, Self, TypeVar, cast
 
 from roboneuron.errors import ForeignDataError, shortened
+from roboneuron.log_files import make_log_directory
 from roboneuron.log_files import printable as printable
 from roboneuron.log_files import quoted as quoted
 
@@ -203,12 +206,7 @@ def _first_of(error: Exception) -> str:
 
 
 def read_bytes(path: Path, *, most_bytes: int = MOST_FILE_BYTES, is_secret: bool = False) -> bytes:
-    """Read a regular file of at most `most_bytes`.
-
-    Args:
-        path: the file.
-        most_bytes: limit of its size.
-        is_secret: only its owner may be permitted to read or write it.
+    """Read a regular file of at most `most_bytes`; a secret, only if none but its owner can.
 
     Raises:
         FileNotFoundError: there is none.
@@ -256,7 +254,6 @@ def decode_toml(text: str, what: str) -> Document:
         value = tomllib.loads(text)
     except RecursionError as error:
         raise ForeignDataError(f"{what} is nested more than {MOST_DEPTH} deep") from error
-    # also integers with more digits than Python converts
     except ValueError as error:
         raise ForeignDataError(f"{what} is not valid TOML: {error}") from error
     check_value(value, what)
@@ -267,6 +264,30 @@ def read_json(path: Path, *, most_bytes: int = MOST_FILE_BYTES, has_constants: b
     """Decode a file. Raises as `read_bytes` and `decode_json`."""
     data = read_bytes(path, most_bytes=most_bytes)
     return decode_json(data, path.name, most_bytes=most_bytes, has_constants=has_constants)
+
+
+def write_private(path: Path, text: str) -> None:
+    """Replace a state file atomically by one that only its owner may read: whatever ends a process
+    or the machine meanwhile, the file holds the old or the new text. Its folder is created.
+
+    Raises:
+        OSError: it cannot be written; the old one stays.
+    """
+    make_log_directory(path.parent)
+    # of each writer alone; a link that has its name is not followed
+    new = path.with_name(f".{path.name}.{os.getpid()}-{threading.get_ident()}")
+    new.unlink(missing_ok=True)
+    try:
+        opened = os.open(new, os.O_CREAT | os.O_EXCL | os.O_WRONLY | os.O_CLOEXEC, 0o600)
+        with open(opened, "w", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        new.replace(path)
+    except OSError:
+        with suppress(OSError):
+            new.unlink(missing_ok=True)
+        raise
 
 
 def type_hashes(description: object) -> dict[str, str]:

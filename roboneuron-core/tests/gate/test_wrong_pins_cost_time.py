@@ -7,6 +7,7 @@ import hashlib
 import json
 import os
 import stat
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -102,7 +103,7 @@ def test_what_is_left_of_a_write_that_was_killed_is_in_nobodys_way(
 ) -> None:
     elsewhere = tmp_path / "elsewhere"
     elsewhere.write_text("kept")
-    (tmp_path / f"{NAME}.new").symlink_to(elsewhere)
+    (tmp_path / f".{NAME}.{os.getpid()}-{threading.get_ident()}").symlink_to(elsewhere)
     pin.set("abcdef")
     assert elsewhere.read_text() == "kept"
     assert sorted(os.listdir(tmp_path)) == ["elsewhere", NAME]

@@ -66,7 +66,7 @@ class RelayKeeper(Periodic):
             (self._folder / STATE).unlink(missing_ok=True)  # from the previous relay
             # the relay inherits the lock, and holds it until it ends
             self._relay = subprocess.Popen(
-                [sys.executable, "-m", "roboneuron.hang_watch", "rn_link.relay"],
+                [sys.executable, "-P", "-m", "roboneuron.hang_watch", "rn_link.relay"],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.DEVNULL,
                 pass_fds=(lock,),

@@ -56,6 +56,7 @@ def _record_by_several(
     """Create them in processes; the progress counts finished shards."""
     command = [
         sys.executable,
+        "-P",
         "-m",
         "rn_policy_cubes.record",
         str(directory),

@@ -97,7 +97,7 @@ def spawn_recorder(
     """
     with open(log_path, "ab", opener=log_files.opener) as output:
         child = subprocess.Popen(  # owned by RecorderProcess
-            [sys.executable, "-m", "rn_recorder_runs.node"],
+            [sys.executable, "-P", "-m", "rn_recorder_runs.node"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=output,

@@ -92,7 +92,7 @@ async def client_of(
         timeout_s: how long a call may take; the client's own limit if None.
         errors: file for its standard error; this process's own if None.
     """
-    words = ["-m", "roboneuron.cli.main", "serve", "--config", str(config), *options]
+    words = ["-P", "-m", "roboneuron.cli.main", "serve", "--config", str(config), *options]
     server = StdioServerParameters(command=sys.executable, args=words, env=dict(environment))
     transport = stdio_client(server, errlog=errors or sys.stderr)
     async with Client(transport, read_timeout_seconds=timeout_s) as client:

@@ -5,7 +5,7 @@ person with a record in the audit.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+import os
 from pathlib import Path
 from typing import Any
 
@@ -187,15 +187,14 @@ def test_a_long_cause_is_cut(kept: Kept) -> None:
 def test_a_full_disk_stops_nothing(
     kept: Kept, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    def full(self: AlarmBook, text: str) -> None:
+    def full(descriptor: int) -> None:
         raise OSError(28, "No space left on device")
 
-    write: Callable[[AlarmBook, str], None] = AlarmBook._write
-    monkeypatch.setattr(AlarmBook, "_write", full)
+    monkeypatch.setattr(os, "fsync", full)
     kept.book.add("robot", "exited", "gone", "start it")
     kept.book.save()
     kept.book.save()
     assert [entry.message for entry in caplog.records if "No space left" in entry.message]
-    monkeypatch.setattr(AlarmBook, "_write", write)
+    monkeypatch.undo()
     kept.book.save()
     assert (kept.folder / FILE_NAME).exists()

@@ -19,7 +19,7 @@ from typing import Any
 from roboneuron import foreign
 from roboneuron.errors import ForeignDataError, InvalidInputError, RefusedError
 from roboneuron.gate import AuditLog, AuditRecord
-from roboneuron.log_files import locked, make_log_directory
+from roboneuron.log_files import locked
 
 FILE_NAME = "emergency_stop.pin"
 """Name of the hash file in the state directory; a fleet has one for all its robots."""
@@ -137,16 +137,7 @@ class ReleasePin:
         )
 
     def _write(self, content: dict[str, Any]) -> None:
-        """Replace the file atomically: a process that dies meanwhile leaves the old one."""
-        make_log_directory(self.path.parent)
-        new = self.path.with_name(f"{self.path.name}.new")
-        new.unlink(missing_ok=True)
-        descriptor = os.open(new, os.O_CREAT | os.O_EXCL | os.O_WRONLY | os.O_CLOEXEC, 0o600)
-        with os.fdopen(descriptor, "w", encoding="utf-8") as file:
-            json.dump(content, file)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(new, self.path)
+        foreign.write_private(self.path, json.dumps(content))
 
 
 def _hash(pin: str, salt: bytes) -> str:

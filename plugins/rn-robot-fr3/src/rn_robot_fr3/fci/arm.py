@@ -268,7 +268,8 @@ class FciArm:
 
     def _start(self) -> None:
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        command = [sys.executable, "-m", "rn_robot_fr3.fci.control_process", str(theirs.fileno())]
+        module = "rn_robot_fr3.fci.control_process"
+        command = [sys.executable, "-P", "-m", module, str(theirs.fileno())]
         with theirs:
             self._process = subprocess.Popen(
                 command, pass_fds=[theirs.fileno()], stdin=subprocess.DEVNULL

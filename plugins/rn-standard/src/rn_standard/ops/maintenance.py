@@ -11,11 +11,9 @@ from __future__ import annotations
 
 import json
 import logging
-import os
 import threading
 import time
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -124,17 +122,9 @@ class MaintenanceFile:
             since_s=time.time(),
         )
         audit.write_if_possible(_record(who, role, "begin_maintenance", reason))
-        part = self.path.with_suffix(f".{os.getpid()}.part")
         try:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            with open(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), "w") as file:
-                file.write(json.dumps(asdict(state)))
-                file.flush()
-                os.fsync(file.fileno())
-            part.replace(self.path)
+            foreign.write_private(self.path, json.dumps(asdict(state)))
         except OSError as error:
-            with suppress(OSError):
-                part.unlink(missing_ok=True)
             raise RefusedError(
                 f"{self.path} cannot be written: {error.strerror}; the robot is in service.",
                 hint="Press the emergency stop, and mend the state directory.",

@@ -11,7 +11,7 @@ import threading
 from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import IO, Literal, TypedDict, Unpack
+from typing import Literal, TypedDict, Unpack
 
 from pydantic import Field
 
@@ -144,14 +144,13 @@ class TaskHistory:
     def _append(self, line: str) -> None:
         count = len(self._lines()) if self._count is None else self._count
         if count < 2 * KEPT:
-            with _private(self._path, os.O_APPEND) as file:
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            opened = os.open(self._path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
+            with open(opened, "w", encoding="utf-8") as file:
                 file.write(line + "\n")
             self._count = count + 1
             return
-        whole = self._path.with_suffix(".new")
-        with _private(whole, os.O_TRUNC) as file:
-            file.write("\n".join([*self._lines()[1 - KEPT :], line]) + "\n")
-        whole.replace(self._path)
+        foreign.write_private(self._path, "\n".join([*self._lines()[1 - KEPT :], line]) + "\n")
         self._count = KEPT
 
     def _lines(self) -> list[str]:
@@ -223,9 +222,3 @@ class TaskHistory:
             read_only=True,
             idempotent=True,
         )
-
-
-def _private(path: Path, mode: int) -> IO[str]:
-    """Open a file for writing that only its owner can access."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    return open(os.open(path, os.O_WRONLY | os.O_CREAT | mode, 0o600), "w", encoding="utf-8")

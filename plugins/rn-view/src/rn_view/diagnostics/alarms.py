@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import logging
-import os
 import threading
 import time
 from collections.abc import Callable
@@ -194,7 +193,7 @@ class AlarmBook:
             }
         failure = ""
         try:
-            self._write(json.dumps(told))
+            foreign.write_private(self._path, json.dumps(told))
         except OSError as error:
             failure = f"Cannot write the alarms to {self._path}: {error.strerror or error}"
             with self._lock:
@@ -210,13 +209,6 @@ class AlarmBook:
             if alarm.is_open and (alarm.source, alarm.what) == (source, what)
         )
         return next(same, None)
-
-    def _write(self, text: str) -> None:
-        self._path.parent.mkdir(parents=True, exist_ok=True)
-        whole = self._path.with_suffix(".new")
-        with open(os.open(whole, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), "w") as file:
-            file.write(text)
-        whole.replace(self._path)
 
     def _read(self) -> None:
         try:

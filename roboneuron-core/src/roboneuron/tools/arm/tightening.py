@@ -5,8 +5,6 @@ file.
 from __future__ import annotations
 
 import json
-import os
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -177,14 +175,9 @@ class TighteningFile:
             "who": record.who,
             "at_ns": record.at_ns,
         }
-        part = self.path.with_suffix(f".{os.getpid()}.part")
         try:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            part.write_text(json.dumps(text), encoding="utf-8")
-            part.replace(self.path)
+            foreign.write_private(self.path, json.dumps(text))
         except OSError as error:
-            with suppress(OSError):
-                part.unlink(missing_ok=True)
             raise RefusedError(
                 f"The limits cannot be kept in {self.path}: {error.strerror}.",
                 hint="Mend the state directory.",
