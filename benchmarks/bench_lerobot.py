@@ -27,8 +27,8 @@ import numpy as np
 
 from rn_backend_lerobot.backend import LeRobotBackend
 from rn_backend_lerobot.options import LeRobotOptions
-from rn_backend_openpi.shared_backend import SharedBackend
-from rn_backend_openpi.shared_options import SharedOptions
+from rn_backend_openpi.backend import PolicyBackend
+from rn_backend_openpi.options import PolicyOptions
 from roboneuron import Frame, JointSample, Observation, Pose
 
 JOINTS = tuple(f"fr3_joint{i}" for i in range(1, 8))
@@ -206,8 +206,8 @@ def measure(folder: Path, site: Path, name: str, rounds: int) -> dict[str, float
     backend.load()
     run = folder / "run"
     run.mkdir(mode=0o700, exist_ok=True)
-    shared = SharedBackend(
-        SharedOptions.model_validate(
+    shared = PolicyBackend(
+        PolicyOptions.model_validate(
             {
                 "backend": "lerobot",
                 "checkpoint": str(directory),

@@ -31,9 +31,9 @@ from typing import Any
 
 from bench_serve_policy import ROWS, SOURCE, STEP_S, Ask, measure, seen, started
 
+from rn_backend_openpi.backend import PolicyBackend
+from rn_backend_openpi.options import PolicyOptions
 from rn_backend_openpi.serve_command import name_of
-from rn_backend_openpi.shared_backend import SharedBackend
-from rn_backend_openpi.shared_options import SharedOptions
 from rn_backend_openpi.status_page import ask_status
 from rn_testing.fakes.site import PluginSite
 from rn_testing.waiting import wait_until
@@ -88,10 +88,10 @@ class Server:
         except NotReadyError:
             return False
 
-    def robot(self, stack: ExitStack) -> SharedBackend:
+    def robot(self, stack: ExitStack) -> PolicyBackend:
         """A loaded backend."""
-        made = SharedBackend(
-            SharedOptions(
+        made = PolicyBackend(
+            PolicyOptions(
                 address=self.status()["address"],
                 token_file=self.token,
                 coding="raw",
@@ -171,7 +171,7 @@ def show_costs(took_ms: dict[str, list[float]]) -> None:
 
 
 def show_kills(
-    engine: str, server: Server, robots: list[SharedBackend], observation: Observation
+    engine: str, server: Server, robots: list[PolicyBackend], observation: Observation
 ) -> None:
     """Kill models while robots ask, and print what was lost."""
     end = threading.Event()

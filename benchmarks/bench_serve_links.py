@@ -43,10 +43,10 @@ from link_machines import Machine, impossible  # noqa: E402
 from policy_servers import FarServer, pair  # noqa: E402
 from slow_cable import Link, SlowCable, open_tap  # noqa: E402
 
+from rn_backend_openpi.backend import PolicyBackend  # noqa: E402
 from rn_backend_openpi.images import CODINGS  # noqa: E402
+from rn_backend_openpi.options import PolicyOptions  # noqa: E402
 from rn_backend_openpi.plugin import SHARED  # noqa: E402
-from rn_backend_openpi.shared_backend import SharedBackend  # noqa: E402
-from rn_backend_openpi.shared_options import SharedOptions  # noqa: E402
 from rn_testing.fakes.backend import make_observation  # noqa: E402
 from roboneuron import NotReadyError, RoboNeuronError  # noqa: E402
 from roboneuron.modules.execution.adaptive import AdaptiveExecutor  # noqa: E402
@@ -85,7 +85,7 @@ def camera_image() -> NDArray[np.uint8]:
 
 def robot(options: str, seconds: float) -> dict[str, Any]:
     """Execute rows for this time, and report how many were in time."""
-    backend = SharedBackend(SharedOptions.model_validate_json(options))
+    backend = PolicyBackend(PolicyOptions.model_validate_json(options))
     backend.load()
     executor = AdaptiveExecutor(Abilities(conditions_on_rows=True), fixed=None, bounds=BOUNDS)
     stop = threading.Event()

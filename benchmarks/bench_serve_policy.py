@@ -32,10 +32,10 @@ from typing import Any
 
 import numpy as np
 
+from rn_backend_openpi.backend import PolicyBackend
+from rn_backend_openpi.options import PolicyOptions
 from rn_backend_openpi.plugin import SHARED
 from rn_backend_openpi.serve_command import name_of
-from rn_backend_openpi.shared_backend import SharedBackend
-from rn_backend_openpi.shared_options import SharedOptions
 from rn_backend_openpi.status_page import ask_status
 from rn_link.keys import add_peer, make_machine, new_identity
 from rn_link.machine import Machine, Peer, Role, read_machine
@@ -219,11 +219,11 @@ def main() -> int:
         observation = seen(given.side)
         asked = observation.frames["primary"].image.nbytes + 900
         ask_echo, echoing = echo(stack, folder, environment, asked)
-        far = SharedBackend(
-            SharedOptions(address=address, coding="raw", timeout_s=30.0, start_timeout_s=60.0)
+        far = PolicyBackend(
+            PolicyOptions(address=address, coding="raw", timeout_s=30.0, start_timeout_s=60.0)
         )
-        near = SharedBackend(
-            SharedOptions(
+        near = PolicyBackend(
+            PolicyOptions(
                 backend="null-benchmark",
                 directory=folder / "run",
                 environment={"PYTHONPATH": path},

@@ -37,9 +37,9 @@ from typing import Any
 
 import numpy as np
 
+from rn_backend_openpi.backend import PolicyBackend
+from rn_backend_openpi.options import PolicyOptions
 from rn_backend_openpi.plugin import SHARED
-from rn_backend_openpi.shared_backend import SharedBackend
-from rn_backend_openpi.shared_options import SharedOptions
 from rn_testing.fakes.backend import make_observation
 from rn_testing.fakes.site import PluginSite
 from roboneuron import NotReadyError, Observation
@@ -135,12 +135,12 @@ def seen(number: int) -> Observation:
     )
 
 
-def play(robots: list[SharedBackend], seconds: float) -> Count:
+def play(robots: list[PolicyBackend], seconds: float) -> Count:
     """Let all robots send requests continuously."""
     counts = [Count() for _ in robots]
     end_s = time.monotonic() + seconds
 
-    def ask(robot: SharedBackend, count: Count, observation: Observation) -> None:
+    def ask(robot: PolicyBackend, count: Count, observation: Observation) -> None:
         while time.monotonic() < end_s:
             try:
                 chunk = robot.predict(observation)
@@ -166,7 +166,7 @@ def play(robots: list[SharedBackend], seconds: float) -> Count:
     )
 
 
-def forward_s(robot: SharedBackend) -> float:
+def forward_s(robot: PolicyBackend) -> float:
     """Time of one observation alone, in the server [s]."""
     return (
         statistics.median(robot.predict(seen(0)).metrics["shared.model_ms"] for _ in range(20))
@@ -175,7 +175,7 @@ def forward_s(robot: SharedBackend) -> float:
 
 
 def model_options(given: argparse.Namespace, folder: Path) -> dict[str, Any]:
-    """The model of the servers, as fields of `SharedOptions`."""
+    """The model of the servers, as fields of `PolicyOptions`."""
     if given.model == "tiny":
         PluginSite(path=folder / "site").install("rn-tiny-benchmark", SOURCE, header="")
         return {
@@ -216,9 +216,9 @@ def main() -> int:
         model = model_options(given, folder)
         path = os.pathsep.join(filter(None, (str(folder / "site"), os.environ.get("PYTHONPATH"))))
 
-        def connect(most: int, timeout_s: float) -> SharedBackend:
-            made = SharedBackend(
-                SharedOptions(
+        def connect(most: int, timeout_s: float) -> PolicyBackend:
+            made = PolicyBackend(
+                PolicyOptions(
                     **model,
                     most=most,
                     timeout_s=timeout_s,
@@ -275,7 +275,7 @@ def main() -> int:
         return 0 if is_same and (is_fast or given.model == "learned") else 1
 
 
-def compare(robots: list[SharedBackend], expected: list[np.ndarray]) -> tuple[float, float]:
+def compare(robots: list[PolicyBackend], expected: list[np.ndarray]) -> tuple[float, float]:
     """Largest difference of an action from `expected`, and the largest batch, with simultaneous
     requests.
     """

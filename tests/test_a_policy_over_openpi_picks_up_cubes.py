@@ -21,8 +21,8 @@ backend = "openpi"
 [control]
 controller = "urdf"
 [plugins.openpi]
-profile = "roboneuron"
 url = "{url}"
+coding = "raw"
 """
 COMMAND = (sys.executable, "-m", "roboneuron.cli.main")
 

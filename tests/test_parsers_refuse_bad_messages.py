@@ -21,8 +21,8 @@ from sensor_msgs.msg import CompressedImage
 
 from rn_backend_openpi import messages
 from rn_backend_openpi import wire as openpi_wire
+from rn_backend_openpi.description import ServerDescription
 from rn_backend_openpi.introduction import to_profile
-from rn_backend_openpi.session import Welcome
 from rn_eval import wire as eval_wire
 from rn_link import rtps
 from rn_link.pairing import PairingError, parse
@@ -87,8 +87,8 @@ WELCOME = {
     "most_committed": 2,
     "takes_state": False,
     "continues": True,
-    "crops": {"a": [0, 0, 4, 4]},
     "image_sizes": {"a": [4, 4]},
+    "interface": {"profile": "libero"},
     "space": SPACE,
 }
 ROBOT = {
@@ -208,7 +208,7 @@ PARSERS = {
     "introduction": Parser("a robot", of_json(to_profile), ROBOT, (RoboNeuronError,)),
     "welcome": Parser(
         "a policy server",
-        of_json(lambda d: Welcome.of({messages.RESERVED: d})),
+        of_json(lambda d: ServerDescription.of({messages.RESERVED: d})),
         WELCOME,
         (RoboNeuronError,),
     ),

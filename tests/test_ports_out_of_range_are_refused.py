@@ -55,8 +55,8 @@ def test_a_section_refuses_a_port_out_of_range(
 
 @pytest.mark.parametrize("port", [65536, 99999])
 def test_the_address_of_a_policy_server_has_a_port(port: int) -> None:
-    from rn_backend_openpi.shared_options import SharedOptions
+    from rn_backend_openpi.options import PolicyOptions
 
     with pytest.raises(ValueError, match="from 1 to 65535"):
-        SharedOptions(address=f"gpu:{port}")
-    assert SharedOptions(address="gpu:65535").address == "gpu:65535"
+        PolicyOptions(address=f"gpu:{port}")
+    assert PolicyOptions(address="gpu:65535").address == "gpu:65535"

@@ -24,11 +24,10 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.server import Server, ServerConnection
 from websockets.sync.server import serve as serve_websocket
 
+from rn_backend_openpi.backend import PolicyBackend
+from rn_backend_openpi.case import install, options_in
 from rn_backend_openpi.model_server import SharedModelServer
-from rn_backend_openpi.options import OpenpiOptions
-from rn_backend_openpi.shared_backend import SharedBackend
-from rn_backend_openpi.shared_case import install, options_in
-from rn_backend_openpi.shared_options import SharedOptions
+from rn_backend_openpi.options import PolicyOptions
 from rn_testing.waiting import wait_until
 
 
@@ -130,19 +129,19 @@ def policy_server() -> Iterator[PolicyServer]:
 
 
 @pytest.fixture
-def options(policy_server: Any) -> Callable[..., OpenpiOptions]:
+def options(policy_server: Any) -> Callable[..., PolicyOptions]:
     """Create options for the stand-in."""
 
-    def make(**changes: Any) -> OpenpiOptions:
+    def make(**changes: Any) -> PolicyOptions:
         values = {
             "url": policy_server.url,
             "profile": "libero",
             "image_keys": {"primary": "observation/image"},
-            "connect_timeout_s": 5.0,
+            "start_timeout_s": 5.0,
             "warm_up_timeout_s": 5.0,
-            "request_timeout_s": TIMEOUT_S,
+            "timeout_s": TIMEOUT_S,
         }
-        return OpenpiOptions(**(values | changes))
+        return PolicyOptions(**(values | changes))
 
     return make
 
@@ -182,7 +181,7 @@ def robot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Robot]:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "robot"))
     with ExitStack() as stack:
 
-        def make(address: str, **options: Any) -> SharedBackend:
+        def make(address: str, **options: Any) -> PolicyBackend:
             made = robot_of(address, **options)
             stack.callback(made.close)
             made.load()
@@ -197,9 +196,9 @@ def spawned(tmp_path: Path) -> Iterator[Robot]:
     install(tmp_path)
     with ExitStack() as stack:
 
-        def make(**options: Any) -> SharedBackend:
+        def make(**options: Any) -> PolicyBackend:
             given = options_in(tmp_path, **{"idle_s": 30.0, **options})
-            made = SharedBackend(SharedOptions.model_validate(given))
+            made = PolicyBackend(PolicyOptions.model_validate(given))
             stack.callback(made.close)
             made.load()
             return made
@@ -219,22 +218,21 @@ def served(tmp_path: Path) -> Iterator[Robot]:
     with ExitStack() as stack:
         started: dict[Path, threading.Thread] = {}
 
-        def make(**options: Any) -> SharedBackend:
-            made = SharedOptions.model_validate(options_in(tmp_path, **options))
+        def make(**options: Any) -> PolicyBackend:
+            made = PolicyOptions.model_validate(options_in(tmp_path, **options))
             path = tmp_path / "run" / f"{made.identity()}.sock"
             if path not in started:
-                server = SharedModelServer(made, path, None)
+                server = SharedModelServer(made.of_the_model(), path, None)
                 started[path] = threading.Thread(target=server.run)
                 started[path].start()
                 stack.callback(started[path].join, 60.0)
                 stack.callback(server.stop)
                 wait_until(path.exists, 90.0, "the server listens")
-            backend = SharedBackend(made)
+            backend = PolicyBackend(made)
             stack.callback(backend.close)
             backend.load()
             return backend
 
         yield make
     sys.path.remove(str(tmp_path / "site"))
-    sys.modules.pop("rn_reflex_plugin", None)
     assert not servers_in(tmp_path), "nothing was spawned"

@@ -12,8 +12,7 @@ import numpy as np
 from openpi_format import decode, encode
 from websockets.sync.client import ClientConnection, connect
 
-from rn_backend_openpi.case import Reflex, serving
-from rn_backend_openpi.options import OpenpiOptions
+from rn_backend_openpi.case import Reflex, ReflexOptions, serving
 
 KEY = "a-key-of-some-length"
 TIMEOUT_S = 1.0
@@ -26,11 +25,11 @@ REQUEST = {"observation/image": GREY, "observation/state": STATE, "prompt": "go"
 KEYS = {"primary": "observation/image"}
 
 
-OPTIONS = OpenpiOptions(profile="libero", image_keys=KEYS)
+INTERFACE = {"profile": "libero", "image_keys": KEYS}
 
 
 def model() -> Reflex:
-    return Reflex(step_s=0.05)
+    return Reflex(ReflexOptions(step_s=0.05))
 
 
 def open_client(url: str, **options: Any) -> ClientConnection:
@@ -49,7 +48,7 @@ def ask(connection: ClientConnection, request: Any = REQUEST) -> Any:
 @contextmanager
 def served(**listen: Any) -> Iterator[str]:
     """A server of the small model in openpi's form of LIBERO; options of `[listen]`."""
-    with serving(OPTIONS, model(), **listen) as url:
+    with serving(model(), interface=INTERFACE, **listen) as url:
         yield url
 
 

@@ -13,10 +13,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from rn_backend_openpi.backend import PolicyBackend
+from rn_backend_openpi.case import Reflex, ReflexOptions
+from rn_backend_openpi.options import PolicyOptions
 from rn_backend_openpi.plugin import SHARED
-from rn_backend_openpi.shared_backend import SharedBackend
-from rn_backend_openpi.shared_options import SharedOptions
-from rn_reflex_plugin import Options, Reflex
 from rn_testing.fakes.backend import make_observation
 from roboneuron import RoboNeuronError
 
@@ -27,9 +27,9 @@ def main(path: str, options: str, side: str) -> None:
     """Send requests until killed; each line gives the time of an answer, and whether it was the
     right one for the observation.
     """
-    backend = SharedBackend(SharedOptions.model_validate_json(options))
+    backend = PolicyBackend(PolicyOptions.model_validate_json(options))
     backend.load()
-    alone = Reflex(Options())
+    alone = Reflex(ReflexOptions())
     alone.load()
     seen = make_observation(SHARED)
     drawn = np.random.default_rng(0)

@@ -24,11 +24,11 @@ import pytest
 from link_machines import Machine
 from link_pairs import admit, make_hub
 
+from rn_backend_openpi.backend import PolicyBackend
+from rn_backend_openpi.case import install, options_in
+from rn_backend_openpi.options import PolicyOptions
 from rn_backend_openpi.plugin import SHARED
 from rn_backend_openpi.serve_command import name_of
-from rn_backend_openpi.shared_backend import SharedBackend
-from rn_backend_openpi.shared_case import install, options_in
-from rn_backend_openpi.shared_options import SharedOptions
 from rn_backend_openpi.status_page import ask_status
 from rn_link.machine import Peer
 from rn_testing.fakes.backend import make_observation
@@ -179,14 +179,14 @@ class FarServer(RunningServer):
         return self.machine.inside(*super().words())
 
 
-def robot_of(address: str, **options: Any) -> SharedBackend:
+def robot_of(address: str, **options: Any) -> PolicyBackend:
     """A robot's backend for a server, not loaded."""
     given = {"address": address, "timeout_s": 10.0, "start_timeout_s": 60.0, **options}
-    return SharedBackend(SharedOptions.model_validate(given))
+    return PolicyBackend(PolicyOptions.model_validate(given))
 
 
 Serve = Callable[..., RunningServer]
-Robot = Callable[..., SharedBackend]
+Robot = Callable[..., PolicyBackend]
 
 
 def seen(number: int) -> Observation:
@@ -198,7 +198,7 @@ def seen(number: int) -> Observation:
     )
 
 
-def answers(robot: SharedBackend) -> bool:
+def answers(robot: PolicyBackend) -> bool:
     """True if the robot gets an answer; any error other than NotReadyError is raised."""
     try:
         robot.predict(SEEN)

@@ -14,10 +14,10 @@ from typing import Any
 import pytest
 from policy_servers import RunningServer, robot_of
 
+from rn_backend_openpi.backend import PolicyBackend
+from rn_backend_openpi.case import install
 from rn_backend_openpi.introduction import from_profile, to_profile
-from rn_backend_openpi.shared_backend import SharedBackend
-from rn_backend_openpi.shared_case import install
-from rn_backend_openpi.shared_space import shared_space
+from rn_backend_openpi.space import policy_space
 from rn_testing.fakes.site import PluginSite
 from roboneuron import (
     EE_DELTA,
@@ -57,7 +57,7 @@ PAIR = RobotProfile(
 )
 SOURCE = """
 from roboneuron import ActionChunk, ActionSpace, BackendSpec, ConfigurationError, hookimpl, robot_space
-from rn_reflex_plugin import Options, Reflex
+from rn_backend_openpi.case import Reflex
 
 
 def declare(options, profile):
@@ -72,14 +72,14 @@ class Jointed(Reflex):
 
 @hookimpl
 def roboneuron_backends():
-    return [BackendSpec(name="jointed", summary="Joints.", target=__name__ + ":Jointed", config="rn_reflex_plugin:Options",
+    return [BackendSpec(name="jointed", summary="Joints.", target=__name__ + ":Jointed", config="rn_backend_openpi.case:ReflexOptions",
                         space=__name__ + ":declare", cameras=("primary", "wrist"), needs_state=True,
                         action_space=ActionSpace(horizon=12, step_s=0.05), conditions_on_rows=True, max_committed_rows=4)]
 """  # noqa: E501
 
 
 @pytest.fixture
-def robot(tmp_path: Path) -> Iterator[Callable[..., SharedBackend]]:
+def robot(tmp_path: Path) -> Iterator[Callable[..., PolicyBackend]]:
     """Return a function that creates a loaded backend for a server with two models."""
     install(tmp_path)
     PluginSite(path=tmp_path / "site").install("rn-jointed", SOURCE, header="")
@@ -89,7 +89,7 @@ def robot(tmp_path: Path) -> Iterator[Callable[..., SharedBackend]]:
         stack.callback(server.end)
         server.start()
 
-        def make(model: str) -> SharedBackend:
+        def make(model: str) -> PolicyBackend:
             made = robot_of(server.address, token_file=str(tmp_path / "token"), model=model)
             stack.callback(made.close)
             made.load()
@@ -98,7 +98,7 @@ def robot(tmp_path: Path) -> Iterator[Callable[..., SharedBackend]]:
         yield make
 
 
-def test_the_server_tells_space_cameras_and_rows(robot: Callable[..., SharedBackend]) -> None:
+def test_the_server_tells_space_cameras_and_rows(robot: Callable[..., PolicyBackend]) -> None:
     joints = robot("joints")
     told = joints.served_spec(ARM)
     assert told is not None
@@ -145,7 +145,7 @@ def test_what_is_no_robot_is_refused(changed: dict[str, Any]) -> None:
 
 
 def test_before_it_is_reached_nobody_says_the_space_of_a_model_elsewhere() -> None:
-    assert shared_space({"address": "gpu:1"}, ARM) is None
+    assert policy_space({"address": "gpu:1"}, ARM) is None
     given = {"address": "gpu:1", "space": {"kind": "joint_position", "rate_hz": 20.0}}
-    assert shared_space(given, ARM) == robot_space("joint_position", ARM, 20.0)
-    assert shared_space({"backend": "elsewhere"}, replace(ARM)) is EE_DELTA
+    assert policy_space(given, ARM) == robot_space("joint_position", ARM, 20.0)
+    assert policy_space({"backend": "elsewhere"}, replace(ARM)) is EE_DELTA

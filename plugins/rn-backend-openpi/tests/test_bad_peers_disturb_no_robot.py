@@ -28,12 +28,13 @@ from policy_servers import (
 from rn_backend_openpi import listener as listener_module
 from rn_backend_openpi import processes as processes_module
 from rn_backend_openpi.connection import PolicyConnection
+from rn_backend_openpi.description import LOADING, ServerDescription
 from rn_backend_openpi.front import PolicyServer
 from rn_backend_openpi.messages import RESERVED, Document
 from rn_backend_openpi.processes import ModelProcess
 from rn_backend_openpi.security import authorization
-from rn_backend_openpi.session import LOADING, Welcome, receive
-from rn_backend_openpi.shared_options import PolicyServerOptions
+from rn_backend_openpi.server_options import PolicyServerOptions
+from rn_backend_openpi.session import receive
 from rn_backend_openpi.status_page import ask_status
 from rn_backend_openpi.wire import pack
 from rn_link.machine import read_machine
@@ -69,14 +70,14 @@ def test_strangers_learn_nothing_and_disturb_nobody(
     assert answers(one)
 
 
-def admitted(port: int, token: Path) -> tuple[PolicyConnection, Welcome]:
+def admitted(port: int, token: Path) -> tuple[PolicyConnection, ServerDescription]:
     """A robot with arbitrary behaviour."""
     connected = socket.create_connection(("127.0.0.1", port), 20.0)
     headers = {"Authorization": authorization(token.read_text().strip())}
     connection = PolicyConnection(connected, "ws://localhost/", headers)
     until_s = time.monotonic() + 10.0
     connection.open(until_s)
-    return connection, Welcome.of(receive(connection, until_s))
+    return connection, ServerDescription.of(receive(connection, until_s))
 
 
 @pytest.mark.exhaustive

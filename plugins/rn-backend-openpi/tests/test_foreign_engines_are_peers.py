@@ -20,8 +20,8 @@ import pytest
 from foreign_engines import CAMERAS, EngineStandIn, OpenpiStandIn, SglangStandIn, VllmOmniStandIn
 from numpy.typing import NDArray
 
-from rn_backend_openpi.backend import OpenpiBackend
-from rn_backend_openpi.options import OpenpiOptions
+from rn_backend_openpi.backend import PolicyBackend
+from rn_backend_openpi.options import PolicyOptions
 from rn_backend_openpi.plugin import BACKEND
 from rn_testing.fakes.backend import make_observation
 from roboneuron import (
@@ -103,7 +103,7 @@ def seen() -> Observation:
     )
 
 
-Make = Callable[..., tuple[EngineStandIn, Follower, OpenpiOptions]]
+Make = Callable[..., tuple[EngineStandIn, Follower, PolicyOptions]]
 PEERS = {
     "openpi": ("openpi", "/"),
     "SGLang /openpi/policy": ("sglang", "/openpi/policy"),
@@ -117,7 +117,7 @@ def peer(statistics: Path) -> Iterator[Make]:
     """Return a function that starts a stand-in and makes the options for it."""
     made: list[EngineStandIn] = []
 
-    def start(name: str, **changes: Any) -> tuple[EngineStandIn, Follower, OpenpiOptions]:
+    def start(name: str, **changes: Any) -> tuple[EngineStandIn, Follower, PolicyOptions]:
         engine, path = PEERS[name]
         policy = Follower(KINDS[engine])
         server = STAND_INS[engine](policy)
@@ -129,14 +129,14 @@ def peer(statistics: Path) -> Iterator[Make]:
             "url": server.url + path * has_path,
             "profile": "franka",
             "joints": JOINTS,
-            "connect_timeout_s": 5.0,
+            "start_timeout_s": 5.0,
             "warm_up_timeout_s": 5.0,
-            "request_timeout_s": TIMEOUT_S,
+            "timeout_s": TIMEOUT_S,
         }
         if engine != "openpi":
             table = {"file": statistics, "kind": KINDS[engine]}
             given |= {"engine": engine, "normalisation": table}
-        return server, policy, OpenpiOptions(**(given | changes))
+        return server, policy, PolicyOptions(**(given | changes))
 
     yield start
     for server in made:
@@ -144,9 +144,9 @@ def peer(statistics: Path) -> Iterator[Make]:
 
 
 @contextmanager
-def loaded(options: OpenpiOptions) -> Iterator[OpenpiBackend]:
+def loaded(options: PolicyOptions) -> Iterator[PolicyBackend]:
     """A loaded backend."""
-    backend = OpenpiBackend(options)
+    backend = PolicyBackend(options)
     backend.load()
     try:
         yield backend
@@ -154,7 +154,7 @@ def loaded(options: OpenpiOptions) -> Iterator[OpenpiBackend]:
         backend.close()
 
 
-def recovers(backend: OpenpiBackend) -> bool:
+def recovers(backend: PolicyBackend) -> bool:
     """True if an answer comes again."""
     deadline_s = time.monotonic() + SLACK_S
     while time.monotonic() < deadline_s:
@@ -234,8 +234,8 @@ def tried(peer: Make, name: str) -> Row:
         coding=coding,
         chunking=chunking,
         errors="cause shown" if has_cause else "shown without a cause",
-        late="dropped after `request_timeout_s`",
-        dead="`not_ready` within `request_timeout_s`",
+        late="dropped after `timeout_s`",
+        dead="`not_ready` within `timeout_s`",
         back="by the next request",
     )
 
@@ -292,9 +292,9 @@ def test_a_bare_network_moves_no_robot(peer: Make, statistics: Path) -> None:
     name = "SGLang /openpi/policy"
     plain = {"engine": None, "normalisation": None, "url": peer(name)[0].url + "/openpi/policy"}
     with pytest.raises(ConfigurationError, match="serves 'pi05' bare"):
-        OpenpiBackend(peer(name, **plain)[2]).load()
+        PolicyBackend(peer(name, **plain)[2]).load()
     with pytest.raises(ConfigurationError, match="serves 'pi05' bare"):
-        OpenpiBackend(peer(name, normalisation="server")[2]).load()
+        PolicyBackend(peer(name, normalisation="server")[2]).load()
     statistics.write_text("{}")
     with pytest.raises(CheckpointError, match="norm_stats"):
-        OpenpiBackend(peer(name)[2]).load()
+        PolicyBackend(peer(name)[2]).load()

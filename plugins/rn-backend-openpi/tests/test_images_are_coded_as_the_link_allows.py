@@ -20,8 +20,8 @@ from PIL import Image
 from rn_backend_openpi.coding import Coder, LinkMeter, distances
 from rn_backend_openpi.images import CODINGS, Coding, decode_image, encode_image, fit, image_bytes
 from rn_backend_openpi.messages import Document, from_observation, to_observation
+from rn_backend_openpi.options import PolicyOptions
 from rn_backend_openpi.plugin import SHARED
-from rn_backend_openpi.shared_options import SharedOptions
 from rn_testing.fakes.backend import make_observation
 from roboneuron import (
     ActionChunk,
@@ -180,7 +180,7 @@ def even_clock(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def coder(**options: Any) -> Coder:
-    return Coder(SharedOptions(address="gpu:1", **options), {}, 0.001)
+    return Coder(PolicyOptions(address="gpu:1", **options), {}, 0.001)
 
 
 def ask(one: Coder, far: Far, observation: Observation | None = None) -> ActionChunk:
@@ -294,19 +294,12 @@ def test_without_loss_nothing_is_asked_twice() -> None:
 def test_images_are_shrunk_to_what_the_model_declares() -> None:
     far = Far(1000 * MBIT)
     one = Coder(
-        SharedOptions(address="gpu:1", coding="raw", image_size=(100, 100)),
+        PolicyOptions(address="gpu:1", coding="raw"),
         {"primary": (64, 48)},
         0.001,
     )
     ask(one, far)
     assert [shape for _, shape, _ in far.asked] == [(48, 64, 3)]
-
-
-def test_shrinking_by_configuration_is_checked_too() -> None:
-    far = Far(1000 * MBIT, gain=1e-2)
-    with pytest.raises(ConfigurationError, match="image_size"):
-        ask(coder(coding="raw", image_size=(32, 32)), far)
-    assert [shape[0] for _, shape, _ in far.asked] == [224, 224, 32]
 
 
 def test_distances_are_told_by_unit() -> None:

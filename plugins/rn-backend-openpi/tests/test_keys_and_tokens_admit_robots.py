@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 from policy_servers import (
@@ -15,8 +16,9 @@ from policy_servers import (
     said_to,
 )
 
-from rn_backend_openpi.security import Guard, place_of
-from rn_backend_openpi.shared_options import ListenOptions, SharedOptions
+from rn_backend_openpi.options import PolicyOptions
+from rn_backend_openpi.security import Guard, is_loopback, place_of
+from rn_backend_openpi.server_options import ListenOptions
 from rn_link.keys import new_identity, remove_peer, write_private
 from rn_testing.waiting import wait_until
 from roboneuron import (
@@ -69,34 +71,90 @@ def test_a_token_admits_and_a_wrong_one_is_refused(
         "Api-Key",
         "Api-Key x",
         "Bearer " + token.read_text().strip(),
+        f"Api-Key {token.read_text().strip()}x",
+        "Api-Key \xe4",
         "x" * 3000,
     ):
         head = f"GET / HTTP/1.1\r\nHost: x\r\nAuthorization: {wrong}\r\n"
         upgrade = "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
         key = "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n"
-        heard = said_to(port, (head + upgrade + key).encode())
+        heard = said_to(port, (head + upgrade + key).encode("latin-1"))
         assert heard.startswith(b"HTTP/1.1 401 ")
         assert heard.endswith(b"\r\n\r\n"), "no word about the server"
     assert not said_to(port, b"GET /status HTTP/1.1\r\nHost: x\r\n\r\n").startswith(b"HTTP/1.1 2")
     (tmp_path / "other").write_text("y" * 32)
     (tmp_path / "other").chmod(0o600)
-    with pytest.raises(ConfigurationError, match="refuses the token"):
+    with pytest.raises(ConfigurationError, match="refused the key"):
         robot(server.address, token_file=str(tmp_path / "other"))
 
 
-def test_a_token_is_not_sent_in_clear(tmp_path: Path) -> None:
+def test_a_token_is_read_from_a_file_that_only_its_owner_reads(tmp_path: Path) -> None:
     token = tmp_path / "token"
-    token.write_text("x" * 32)
-    options = {"address": "192.0.2.1:7420", "token_file": str(token)}
+    options = PolicyOptions(address="localhost:1", token_file=token)
+    with pytest.raises(ConfigurationError, match="cannot be read"):
+        place_of(options)
+    token.write_text("a-key-of-some-length\n")
     token.chmod(0o644)
     with pytest.raises(ConfigurationError, match="Others may read"):
-        place_of(SharedOptions.model_validate(options))
+        place_of(options)
     token.chmod(0o600)
-    with pytest.raises(ConfigurationError, match="not sent unencrypted"):
-        place_of(SharedOptions.model_validate(options))
-    token.write_text("short")
-    with pytest.raises(ConfigurationError, match="5 characters"):
-        place_of(SharedOptions.model_validate({**options, "address": "localhost:1"}))
+    assert place_of(options).token == "a-key-of-some-length"
+    for text in ("short", "with a space in the middle", "ä" * 20):
+        token.write_text(text)
+        with pytest.raises(ConfigurationError) as caught:
+            place_of(options)
+        assert text not in str(caught.value)
+
+
+def test_a_key_comes_from_the_environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    options = PolicyOptions(
+        url="ws://localhost:1", profile="libero", api_key_variable="RN_TEST_KEY"
+    )
+    monkeypatch.delenv("RN_TEST_KEY", raising=False)
+    with pytest.raises(ConfigurationError, match="RN_TEST_KEY"):
+        place_of(options)
+    monkeypatch.setenv("RN_TEST_KEY", "secret")
+    assert place_of(options).token == "secret"
+
+
+@pytest.mark.parametrize(
+    ("place", "encrypted", "result"),
+    [
+        ({"url": "ws://127.0.0.1:8000"}, False, "sent"),
+        ({"url": "wss://robots.example"}, True, "sent"),
+        ({"url": "ws://10.0.0.5:8000"}, False, "refused"),
+        ({"url": "ws://10.0.0.5:8000", "allow_insecure_key": True}, False, "warned"),
+        ({"address": "localhost:1"}, False, "sent"),
+        ({"address": "192.0.2.1:7420"}, False, "refused"),
+    ],
+)
+def test_a_token_is_sent_unencrypted_on_this_machine_or_on_purpose(
+    tmp_path: Path, place: dict[str, Any], encrypted: bool, result: str
+) -> None:
+    token = tmp_path / "token"
+    token.write_text("x" * 32)
+    token.chmod(0o600)
+    options = PolicyOptions(token_file=token, **place)
+    if result == "refused":
+        with pytest.raises(ConfigurationError, match="not sent unencrypted"):
+            place_of(options)
+        return
+    found = place_of(options)
+    assert (found.context is not None, bool(found.warning)) == (encrypted, result == "warned")
+
+
+@pytest.mark.parametrize("url", ["ws://user:secret@host:1", "ws://host:99999", "ws://:80"])
+def test_a_url_that_names_no_host_alone_is_refused(url: str) -> None:
+    with pytest.raises(ConfigurationError) as caught:
+        place_of(PolicyOptions(url=url))
+    assert "secret" not in str(caught.value)
+
+
+def test_loopback_is_recognised_by_the_address_alone() -> None:
+    assert all(is_loopback(host) for host in ("localhost", "127.0.0.1", "127.8.8.8", "::1"))
+    assert not any(
+        is_loopback(host) for host in ("10.0.0.1", "localhost.example", "0.0.0.0", "robot")
+    )
 
 
 def test_machines_that_are_not_paired_are_told_to_pair(
@@ -104,14 +162,14 @@ def test_machines_that_are_not_paired_are_told_to_pair(
 ) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "none"))
     with pytest.raises(ConfigurationError, match="roboneuron link"):
-        place_of(SharedOptions(address="gpu:7420"))
+        place_of(PolicyOptions(address="gpu:7420"))
     with pytest.raises(ConfigurationError, match="roboneuron link"):
         Guard(ListenOptions())
     pair(tmp_path / "robot", tmp_path / "gpu", address="192.0.2.7")
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "robot"))
-    assert place_of(SharedOptions(address="gpu:7420")).host == "192.0.2.7"
+    assert place_of(PolicyOptions(address="gpu:7420")).host == "192.0.2.7"
     with pytest.raises(ConfigurationError, match=r"paired with gpu \(192"):
-        place_of(SharedOptions(address="elsewhere:7420"))
+        place_of(PolicyOptions(address="elsewhere:7420"))
     with pytest.raises(ConfigurationError, match="the hub of its link"):
         Guard(ListenOptions())
 
@@ -131,9 +189,9 @@ def test_a_token_goes_over_tls_where_the_servers_certificate_is_known(
         key=str(tmp_path / "server.key"),
     )
     options = {"token_file": str(tmp_path / "token"), "coding": "raw"}
-    assert answers(robot(server.address, ca=str(tmp_path / "server.pem"), **options))
+    assert answers(robot(server.address, ca_file=str(tmp_path / "server.pem"), **options))
     with pytest.raises(ConfigurationError, match="not trusted"):
-        robot(server.address, ca=str(tmp_path / "other.pem"), **options)
+        robot(server.address, ca_file=str(tmp_path / "other.pem"), **options)
     with pytest.raises(NotReadyError, match="closed the connection without an answer"):
         robot(server.address, start_timeout_s=0.5, **options)
 
@@ -141,6 +199,6 @@ def test_a_token_goes_over_tls_where_the_servers_certificate_is_known(
 def test_without_rn_link_a_person_is_told_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "rn_link.machine", None)
     with pytest.raises(MissingDependencyError, match="pip install"):
-        place_of(SharedOptions(address="gpu:7420"))
+        place_of(PolicyOptions(address="gpu:7420"))
     with pytest.raises(MissingDependencyError, match="pip install"):
         Guard(ListenOptions())

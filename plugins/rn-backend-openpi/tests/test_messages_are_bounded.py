@@ -19,6 +19,7 @@ from hypothesis import strategies as st
 from websockets.server import ServerProtocol
 
 from rn_backend_openpi.connection import PolicyConnection
+from rn_backend_openpi.description import PROTOCOL, READY, ServerDescription
 from rn_backend_openpi.messages import (
     RESERVED,
     HeldContext,
@@ -28,7 +29,7 @@ from rn_backend_openpi.messages import (
     to_observation,
 )
 from rn_backend_openpi.plugin import SHARED
-from rn_backend_openpi.session import PROTOCOL, READY, ModelSession, Welcome
+from rn_backend_openpi.session import PolicySession
 from rn_backend_openpi.wire import MOST_BYTES, pack, unpack
 from rn_testing.fakes.backend import make_observation
 from roboneuron import (
@@ -234,12 +235,11 @@ def test_a_damaged_message_is_read_or_refused(drawn: st.DataObject) -> None:
     [
         ({"protocol": PROTOCOL + 1}, f"version {PROTOCOL + 1} .* version {PROTOCOL}"),
         ({}, "version None"),
-        (None, "none of `roboneuron serve-policy`"),
     ],
 )
-def test_a_server_of_another_version_or_kind_is_named(own: object, told: str) -> None:
+def test_a_server_of_another_version_is_named(own: object, told: str) -> None:
     with pytest.raises(ConfigurationError, match=told):
-        Welcome.of({} if own is None else {RESERVED: own})
+        ServerDescription.of({RESERVED: own})
 
 
 class Peer:
@@ -302,7 +302,7 @@ def answer_to(own: dict[str, Any], first: float = 0.0, **changed: int) -> dict[s
 
 def test_late_answers_are_dropped(ends: Ends) -> None:
     here, there = ends
-    session = ModelSession(here, Welcome(state=READY, pid=1))
+    session = PolicySession(here, ServerDescription(state=READY, pid=1))
     request = from_observation(SMALL)
     late = []
     for _ in range(2):
@@ -326,7 +326,7 @@ def test_late_answers_are_dropped(ends: Ends) -> None:
 @pytest.mark.parametrize("changed", ["late twice", "number", "clock", "answered"])
 def test_answers_that_nobody_waits_for_end_the_connection(ends: Ends, changed: str) -> None:
     here, there = ends
-    session = ModelSession(here, Welcome(state=READY, pid=1, number=1 << 60))
+    session = PolicySession(here, ServerDescription(state=READY, pid=1, number=1 << 60))
     request = from_observation(SMALL)
     with pytest.raises(TimeoutError):
         session.ask(request, time.monotonic() + 0.05)
@@ -355,7 +355,7 @@ def test_answers_that_nobody_waits_for_end_the_connection(ends: Ends, changed: s
 
 def test_a_server_that_leaves_questions_open_is_left(ends: Ends) -> None:
     here, there = ends
-    session = ModelSession(here, Welcome(state=READY, pid=1))
+    session = PolicySession(here, ServerDescription(state=READY, pid=1))
     for _ in range(64):
         with pytest.raises(TimeoutError):
             session.ask({}, time.monotonic() + 0.02)
@@ -367,13 +367,13 @@ def test_a_server_that_leaves_questions_open_is_left(ends: Ends) -> None:
 def test_time_left_is_told_and_not_a_time_of_day(ends: Ends) -> None:
     here, there = ends
     with pytest.raises(TimeoutError):
-        ModelSession(here, Welcome(state=READY, pid=1)).ask({}, time.monotonic() + 0.2)
+        PolicySession(here, ServerDescription(state=READY, pid=1)).ask({}, time.monotonic() + 0.2)
     assert 0.0 < there.receive()["left_s"] <= 0.2
 
 
 def test_a_connection_with_half_a_message_is_of_no_more_use(ends: Ends) -> None:
     here, _ = ends
-    session = ModelSession(here, Welcome(state=READY, pid=1))
+    session = PolicySession(here, ServerDescription(state=READY, pid=1))
     large = {"a": np.zeros(1 << 22, np.uint8)}
     with pytest.raises(TimeoutError):
         session.ask(large, time.monotonic() + 0.1)

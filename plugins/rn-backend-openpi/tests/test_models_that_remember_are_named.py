@@ -9,8 +9,8 @@ import pytest
 
 from rn_backend_openpi.coding import Coder
 from rn_backend_openpi.messages import Document, to_observation
+from rn_backend_openpi.options import PolicyOptions
 from rn_backend_openpi.plugin import SHARED
-from rn_backend_openpi.shared_options import SharedOptions
 from rn_backend_servo.case import contract_case
 from rn_testing.fakes.backend import make_observation
 from roboneuron import (
@@ -39,7 +39,7 @@ class Far:
 
 
 def coder(coding: str = "auto") -> Coder:
-    return Coder(SharedOptions.model_validate({"address": "gpu:1", "coding": coding}), {}, 0.001)
+    return Coder(PolicyOptions.model_validate({"address": "gpu:1", "coding": coding}), {}, 0.001)
 
 
 @pytest.mark.parametrize("place", [1, 2])

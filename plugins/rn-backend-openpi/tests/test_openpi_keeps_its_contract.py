@@ -13,16 +13,17 @@ from typing import Any
 import pytest
 from pydantic import ValidationError
 
-from rn_backend_openpi.case import openpi_case
+from rn_backend_openpi.case import policy_case
 from rn_backend_openpi.interface import layout_of
-from rn_backend_openpi.options import OpenpiOptions, ServerOptions
+from rn_backend_openpi.options import PolicyOptions
 from rn_backend_openpi.plugin import BACKEND
 from rn_backend_openpi.profiles import PRESETS
-from rn_backend_openpi.shared_options import PolicyServerOptions
+from rn_backend_openpi.server_options import PolicyServerOptions
 from rn_testing import (
     BackendCase,
     BackendContract,
 )
+from roboneuron.command import loading
 from roboneuron.contract import Observation
 
 README = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
@@ -43,21 +44,20 @@ class TestForeignServer(BackendContract):
 
 
 class TestOwnServer(BackendContract):
-    """The backend with RoboNeuron's own server."""
+    """The backend with RoboNeuron's own server, in a process of its own."""
 
     @pytest.fixture
     def plugin(self) -> BackendCase:
-        return openpi_case()
+        return policy_case()
 
 
 def test_the_readme_names_every_option_and_profile_and_its_examples_are_valid() -> None:
-    models = (OpenpiOptions, ServerOptions)
-    names = {*PRESETS, *(name for model in models for name in model.model_fields)}
+    names = {*PRESETS, *PolicyOptions.model_fields}
     assert [name for name in sorted(names) if f"`{name}`" not in README] == []
     blocks = re.findall(r"```toml\n(.*?)```", README, flags=re.DOTALL)
     files = [tomllib.loads(block) for block in blocks]
     tables = [file["plugins"]["openpi"] for file in files if "openpi" in file.get("plugins", {})]
-    read = [OpenpiOptions(**table) for table in tables]
+    read = [PolicyOptions(**table) for table in tables]
     served = [PolicyServerOptions(**file) for file in files if "models" in file]
     offered = [model.interface for file in served for model in file.models.values()]
     interfaces = [*read, *filter(None, offered)]
@@ -92,26 +92,54 @@ def test_the_client_does_without_torch() -> None:
 @pytest.mark.parametrize(
     "options",
     [
+        {},
         {"url": "http://x"},
         {"url": "x"},
+        {"url": "ws://x", "address": "gpu:1"},
+        {"url": "ws://x", "model": "oft"},
+        {"backend": "oft", "model": "a"},
+        {"backend": "oft", "profile": "libero"},
+        {"address": "gpu:1", "ca_file": "x"},
+        {"url": "ws://x", "prompt_key": "task"},
         {"image_keys": {}},
         {"image_keys": {"primary": ""}},
-        {"request_timeout_s": 0},
+        {"timeout_s": 0},
         {"profile": "mars"},
         {"profile": "libero-openpi"},
         {"profile": "own"},
         {"profile": "own", "action": {"kind": "torque", "rate_hz": 10, "gripper": "none"}},
         {"profile": "libero", "action": {"kind": "joint_delta", "rate_hz": 1, "gripper": "none"}},
         {"profile": "libero", "arms": ["left", "right"]},
-        {"profile": "libero", "api_key_file": "k", "api_key_variable": "K"},
+        {"profile": "libero", "token_file": "k", "api_key_variable": "K"},
         {"profile": "libero", "image_size_px": [8, 8]},
         {"base_position_m": (float("nan"), 0.0, 0.0)},
         {"profile": "libero", "rate_hz": 20.0},
         {"profile": "droid", "space": "joint_velocity"},
-        {"server": {"clients": 0}},
         {"surplus": 1},
     ],
 )
 def test_wrong_options_are_refused(options: dict[str, Any]) -> None:
+    has_place = {"url", "address", "backend"} & options.keys() or not options
     with pytest.raises(ValidationError):
-        OpenpiOptions(**options)
+        PolicyOptions(**({} if has_place else {"url": "ws://x"}), **options)
+
+
+def test_names_of_earlier_releases_are_read_and_told(caplog: pytest.LogCaptureFixture) -> None:
+    old = {
+        "profile": "libero",
+        "api_key_file": "key",
+        "ca": "ca.pem",
+        "request_timeout_s": 2.0,
+        "connect_timeout_s": 3.0,
+    }
+    read = loading.load_options(BACKEND, {"url": "ws://x", **old})
+    assert isinstance(read, PolicyOptions)
+    assert (str(read.token_file), str(read.ca_file)) == ("key", "ca.pem")
+    assert (read.timeout_s, read.start_timeout_s) == (2.0, 3.0)
+    assert all(name in caplog.text for name in old.keys() - {"profile"})
+    caplog.clear()
+    plain = {"profile": "roboneuron", "space": "joint_velocity", "joints": ["a"], "slides": []}
+    read = loading.load_options(BACKEND, {"url": "ws://x", **plain})
+    assert isinstance(read, PolicyOptions)
+    assert (read.profile, read.space, read.joints) == (None, None, None)
+    assert all(name in caplog.text for name in plain)

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rn_backend_openpi.backend import OpenpiBackend
-from rn_backend_openpi.options import OpenpiOptions
+from rn_backend_openpi.backend import PolicyBackend
+from rn_backend_openpi.options import PolicyOptions
 from roboneuron import (
     ArmState,
     ConfigurationError,
@@ -31,8 +31,8 @@ DROID = {
 }
 
 
-def _backend(server: Any, **options: Any) -> OpenpiBackend:
-    backend = OpenpiBackend(OpenpiOptions(url=server.url, **{**DROID, **options}))
+def _backend(server: Any, **options: Any) -> PolicyBackend:
+    backend = PolicyBackend(PolicyOptions(url=server.url, **{**DROID, **options}))
     backend.load()
     return backend
 

@@ -11,6 +11,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 import pytest
 
 from rn_backend_openpi.client import PolicyClient
+from rn_backend_openpi.options import PolicyOptions
 from roboneuron import ConfigurationError, NotReadyError, RoboNeuronError
 
 
@@ -45,15 +46,19 @@ def answering(status: int, protocol: str = "HTTP/1.1") -> Iterator[str]:
 )
 def test_a_status_is_told_with_what_to_do(status: int, expected: type[RoboNeuronError]) -> None:
     begun_s = time.monotonic()
-    with answering(status) as url, pytest.raises(expected) as failure:
-        PolicyClient(url).open(1.0 if expected is NotReadyError else 20.0)
+    limit_s = 1.0 if expected is NotReadyError else 20.0
+    with answering(status) as url:
+        client = PolicyClient(PolicyOptions(url=url, start_timeout_s=limit_s))
+        with pytest.raises(expected) as failure:
+            client.open()
     assert time.monotonic() - begun_s < 15.0
     assert str(status) in str(failure.value)
     assert failure.value.hint
 
 
 def test_an_answer_that_is_no_websocket_is_not_called_silence() -> None:
-    with answering(404, "HTTP/1.0") as url, pytest.raises(NotReadyError) as failure:
-        PolicyClient(url).open(0.5)
-    assert "did not answer" not in str(failure.value)
+    with answering(404, "HTTP/1.0") as url:
+        client = PolicyClient(PolicyOptions(url=url, start_timeout_s=0.5))
+        with pytest.raises(NotReadyError) as failure:
+            client.open()
     assert "no policy server" in str(failure.value)

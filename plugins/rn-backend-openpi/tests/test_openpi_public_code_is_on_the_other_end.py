@@ -16,10 +16,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rn_backend_openpi.backend import OpenpiBackend
-from rn_backend_openpi.case import REFLEX, Reflex, serving
+from rn_backend_openpi.backend import PolicyBackend
+from rn_backend_openpi.case import REFLEX, Reflex, ReflexOptions, serving
 from rn_backend_openpi.interface import layout_of
-from rn_backend_openpi.options import OpenpiOptions
+from rn_backend_openpi.interface_options import InterfaceOptions
+from rn_backend_openpi.options import PolicyOptions
 from rn_vla.letterbox import fit_antialiased
 from roboneuron import (
     EE_DELTA,
@@ -90,7 +91,7 @@ def _request(profile: str, number: int) -> dict[str, Any]:
 @pytest.mark.parametrize("profile", CASES)
 def test_the_published_client_gets_our_backends_rows(profile: str, tmp_path: Path) -> None:
     space, given, step_s = CASES[profile]
-    options, model = OpenpiOptions(**given), Reflex(space, step_s)
+    model = Reflex(ReflexOptions(step_s=step_s), space=space)
     spec = replace(REFLEX, optional_cameras=("wrist",))
     requests = {str(number): _request(profile, number) for number in range(3)}
     token = tmp_path / "token"
@@ -99,7 +100,7 @@ def test_the_published_client_gets_our_backends_rows(profile: str, tmp_path: Pat
     asked, told = tmp_path / "requests.npz", tmp_path / "answers.npz"
     arrays = {f"{n}|{key}": value for n in requests for key, value in requests[n].items()}
     np.savez(asked, **arrays)
-    with serving(options, model, spec, space=space, keys="token", token_file=token) as url:
+    with serving(model, spec, interface=given, space=space, keys="token", token_file=token) as url:
         done = subprocess.run(
             [PYTHON, INTEROP / "openpi_client_asks.py", url, asked, told, KEY],
             capture_output=True,
@@ -108,7 +109,7 @@ def test_the_published_client_gets_our_backends_rows(profile: str, tmp_path: Pat
             check=False,
         )
     assert done.returncode == 0, done.stderr
-    layout = layout_of(options)
+    layout = layout_of(InterfaceOptions.model_validate(given))
     with np.load(told) as answers:
         for number, entries in requests.items():
             sent = {key: _fitted(value) for key, value in entries.items()}
@@ -153,8 +154,8 @@ def test_our_client_gets_the_rows_of_openpis_server(
     space, given, step_s = CASES[profile]
     width = len(space.channels)
     url = foreign_server("openpi_server_serves.py", OPENPI, "PORT", width)
-    options = OpenpiOptions(url=url, connect_timeout_s=30.0, request_timeout_s=20.0, **given)
-    backend = OpenpiBackend(options)
+    options = PolicyOptions(url=url, start_timeout_s=30.0, timeout_s=20.0, **given)
+    backend = PolicyBackend(options)
     backend.load()
     joints = JointSample(names=ARM, position=np.linspace(-1, 1, 7))
     seen = replace(observe(wrist=40), joints=joints)
@@ -185,9 +186,11 @@ def test_roboarenas_client_gets_an_answer() -> None:
     channels = [Channel(name=name, unit="rad") for name in ARM]
     channels.append(Channel(name="gripper_open", unit="opening"))
     space = ControlSpace(kind="joint_position", channels=tuple(channels), rate_hz=15.0)
-    options = OpenpiOptions(dialect="roboarena", **ARENA)
+    interface = {"dialect": "roboarena", **ARENA}
     spec = replace(REFLEX, optional_cameras=("wrist", "secondary"))
-    with serving(options, Reflex(space, 1 / 15), spec, space=space) as url:
+    with serving(
+        Reflex(ReflexOptions(step_s=1 / 15), space=space), spec, interface=interface, space=space
+    ) as url:
         done = subprocess.run(
             [PYTHON, INTEROP / "roboarena_peer.py", ROBOARENA, "ask", url.rsplit(":", 1)[1]],
             capture_output=True,
@@ -206,8 +209,8 @@ def test_our_client_gets_the_rows_of_roboarenas_server(
     foreign_server: Callable[..., str], observe: Observe
 ) -> None:
     url = foreign_server("roboarena_peer.py", ROBOARENA, "serve", "PORT")
-    options = OpenpiOptions(url=url, connect_timeout_s=30.0, request_timeout_s=20.0, **ARENA)
-    backend = OpenpiBackend(options)
+    options = PolicyOptions(url=url, start_timeout_s=30.0, timeout_s=20.0, **ARENA)
+    backend = PolicyBackend(options)
     backend.load()
     seen = replace(observe(), joints=JointSample(names=ARM, position=np.zeros(7)))
     assert [backend.predict(seen).actions[0, 6] for _ in range(2)] == [2.0, 3.0]

@@ -12,9 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rn_backend_openpi.interface import layout_of
-from rn_backend_openpi.options import OpenpiOptions
+from rn_backend_openpi.interface_options import InterfaceOptions
 from rn_backend_openpi.rows import PoseRows, Rows
-from rn_backend_openpi.space import openpi_space
+from rn_backend_openpi.space import policy_space
 from rn_robot_fr3.profile import profile as fr3_profile
 from roboneuron import (
     EE_DELTA,
@@ -27,7 +27,6 @@ from roboneuron import (
     Pose,
     UngroundedError,
     UnsafeError,
-    robot_space,
 )
 
 ARM = ("a1", "a2", "a3", "b1", "b2", "b3")
@@ -44,7 +43,7 @@ QUARTER = np.array([0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)])
 
 
 def _rows(**options: Any) -> Rows:
-    return layout_of(OpenpiOptions(**options)).rows
+    return layout_of(InterfaceOptions(**options)).rows
 
 
 def _own(action: dict[str, Any], **options: Any) -> Rows:
@@ -172,25 +171,10 @@ def test_deltas_of_the_tcp_come_back() -> None:
     np.testing.assert_allclose(rows.to_contract(served, _seen()), contract, atol=ROUNDING)
 
 
-@pytest.mark.parametrize("kind", ["ee_pose", "joint_position", "joint_velocity", "joint_delta"])
-def test_plain_rows_are_the_robots_own(kind: str) -> None:
-    profile = fr3_profile()
-    options = {"profile": "roboneuron", "space": kind, "rate_hz": 15}
-    if kind != "ee_pose":
-        options["joints"] = list(profile.arm_joints)
-    assert openpi_space(options, profile) == robot_space(kind, profile, 15.0)
-
-
-def test_slides_are_in_metres() -> None:
-    rows = _rows(
-        profile="roboneuron", space="joint_velocity", rate_hz=10, joints=ARM[:2], slides=ARM[1:2]
-    )
-    assert [channel.unit for channel in rows.space.channels] == ["rad/s", "m/s", "opening"]
-
-
 def test_a_space_that_does_not_fit_the_robot_names_its_joints() -> None:
+    given = {"url": "ws://gpu", "profile": "own", **STATE, **TWO, **_joint_action()}
     with pytest.raises(ConfigurationError, match=r"names a1, .*does not have") as caught:
-        openpi_space({"profile": "own", **STATE, **TWO, **_joint_action()}, fr3_profile())
+        policy_space(given, fr3_profile())
     assert '"fr3_joint1"' in caught.value.hint
     with pytest.raises(ConfigurationError, match="for 2 arm"):
         _own(
@@ -205,7 +189,7 @@ def _joint_action() -> dict[str, Any]:
 
 
 def _again(options: dict[str, Any], seen: Observation) -> Observation:
-    layout = layout_of(OpenpiOptions(**options))
+    layout = layout_of(InterfaceOptions(**options))
     request = layout.request_of(seen)
     return layout.observation_of(request, needed=("primary",), has_state=True)
 
@@ -266,7 +250,7 @@ def test_states_of_two_arms_come_back_without_poses_nobody_told() -> None:
     assert {name: arm.gripper_open for name, arm in got.arms.items()} == {"left": 0.2, "right": 0.9}
     assert np.isnan(got.arms["right"].ee_pose.position_m).all()
     with pytest.raises(UngroundedError, match="arm 'left'"):
-        layout_of(OpenpiOptions(**options)).request_of(_seen())
+        layout_of(InterfaceOptions(**options)).request_of(_seen())
 
 
 @pytest.mark.parametrize(
@@ -285,7 +269,9 @@ def test_states_of_two_arms_come_back_without_poses_nobody_told() -> None:
     ],
 )
 def test_a_request_that_lacks_something_is_told_what(change: dict[str, Any], word: str) -> None:
-    layout = layout_of(OpenpiOptions(profile="libero", image_keys={"primary": "observation/image"}))
+    layout = layout_of(
+        InterfaceOptions(profile="libero", image_keys={"primary": "observation/image"})
+    )
     request = {**layout.request_of(_seen()), **change}
     with pytest.raises(InvalidInputError, match=word):
         layout.observation_of(request, needed=("primary",), has_state=True)

@@ -11,8 +11,8 @@ import msgpack
 import numpy as np
 import pytest
 from openpi_clients import (
+    INTERFACE,
     KEYS,
-    OPTIONS,
     REQUEST,
     SLACK_S,
     ask,
@@ -21,24 +21,15 @@ from openpi_clients import (
 )
 from openpi_format import encode
 
-from rn_backend_openpi.case import Reflex, serving
+from rn_backend_openpi.case import Reflex, ReflexOptions, serving
+from roboneuron import EE_DELTA
 
 
 def test_a_plain_client_gets_metadata_and_an_answer_with_times() -> None:
     with served() as url, open_client(url) as connection:
-        told = connection.metadata
-        assert (told["profile"], told["action_space"], told["action_dim"]) == (
-            "libero",
-            "ee_delta",
-            7,
-        )
-        assert told["image_keys"] == KEYS
-        assert (told["image_resolution"], told["step_s"]) == ([224, 224], 0.05)
-        assert [channel["unit"] for channel in told["action_channels"]] == [
-            *("m",) * 3,
-            *("rad",) * 3,
-            "opening",
-        ]
+        told = connection.metadata["roboneuron"]["interface"]
+        assert (told["profile"], told["action_space"]) == ("libero", EE_DELTA.label)
+        assert (told["image_keys"], told["image_resolution"]) == (KEYS, [224, 224])
         first, second = ask(connection), ask(connection)
         assert first["actions"].shape == (4, 7)
         assert first["actions"].dtype == np.float64
@@ -55,7 +46,7 @@ class Stuck(Reflex):
     """Does not answer until it is released."""
 
     def __init__(self) -> None:
-        super().__init__(step_s=0.05)
+        super().__init__(ReflexOptions(step_s=0.05))
         self.released = threading.Event()
 
     def predict(self, observation: Any) -> Any:
@@ -64,9 +55,9 @@ class Stuck(Reflex):
 
 
 def test_a_model_that_hangs_is_told_in_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rn_backend_openpi.model_conversation.ANSWER_S", 0.3)
+    monkeypatch.setattr("rn_backend_openpi.conversation.ANSWER_S", 0.3)
     stuck = Stuck()
-    with serving(OPTIONS, stuck) as url:
+    with serving(stuck, interface=INTERFACE) as url:
         with open_client(url) as connection:
             start = time.monotonic()
             assert "gave no answer before the deadline" in ask(connection)
@@ -77,7 +68,7 @@ def test_a_model_that_hangs_is_told_in_time(monkeypatch: pytest.MonkeyPatch) -> 
 def test_a_server_that_ends_waits_for_no_model() -> None:
     stuck = Stuck()
     with ExitStack() as kept:
-        with serving(OPTIONS, stuck) as url:
+        with serving(stuck, interface=INTERFACE) as url:
             connection = kept.enter_context(open_client(url))
             connection.send(msgpack.packb(REQUEST, default=encode))
             threading.Timer(0.6, stuck.released.set).start()
@@ -94,7 +85,7 @@ class Broken(Reflex):
 
 
 def test_a_fault_of_the_backend_is_logged_and_not_told(caplog: pytest.LogCaptureFixture) -> None:
-    with serving(OPTIONS, Broken(step_s=0.05)) as url, open_client(url) as connection:
+    with serving(Broken(), interface=INTERFACE) as url, open_client(url) as connection:
         assert ask(connection) == "PluginError: see the server's log."
     assert "/secret/path" in caplog.text
 
@@ -102,6 +93,9 @@ def test_a_fault_of_the_backend_is_logged_and_not_told(caplog: pytest.LogCapture
 def test_a_chunk_of_another_period_than_the_profiles_is_refused(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    with serving(OPTIONS, Reflex(step_s=0.1)) as url, open_client(url) as connection:
+    with (
+        serving(Reflex(ReflexOptions(step_s=0.1)), interface=INTERFACE) as url,
+        open_client(url) as connection,
+    ):
         assert ask(connection) == "PluginError: see the server's log."
     assert "rows every 0.1 s, the profile 'libero' has one every 0.05 s" in caplog.text

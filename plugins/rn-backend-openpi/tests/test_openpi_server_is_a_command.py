@@ -7,16 +7,21 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import pytest
 from openpi_clients import (
     http_get,
 )
 
-from rn_backend_openpi.backend import OpenpiBackend
+from rn_backend_openpi.backend import PolicyBackend
+from rn_backend_openpi.case import REFLEX
 from rn_backend_openpi.command import served_options
-from rn_backend_openpi.options import OpenpiOptions
+from rn_backend_openpi.interface import served_layout
+from rn_backend_openpi.interface_options import InterfaceOptions
+from rn_backend_openpi.options import PolicyOptions
 from rn_testing.fakes.site import PluginSite
+from roboneuron import EE_DELTA
 from roboneuron.config import parse_config
 from roboneuron.errors import ConfigurationError
 from roboneuron.plugins.discovery import discover
@@ -93,26 +98,36 @@ def _environment(site: Path, folder: Path) -> dict[str, str]:
         (_text(""), "has no \\[inference\\]"),
         (_text("openpi"), "is itself a client of a server"),
         (_text("mars"), "There is no backend 'mars'"),
-        (
-            _text("still-many", 'profile = "ur5e"\njoints = ["a", "b", "c", "d", "e", "f"]'),
-            "answers in 'ee_delta_base', profile 'ur5e' is for 'joint_position@20:a,b",
-        ),
-        (
-            _text("still-many", 'profile = "libero"\nimage_keys = {wrist = "w"}'),
-            "needs the camera 'primary'; profile 'libero' has keys for wrist",
-        ),
-        (
-            _text("still-many", 'profile = "roboneuron"\nspace = "ee_pose"\nrate_hz = 5.0'),
-            "answers in 'ee_delta_base', profile 'roboneuron' is for 'ee_pose@5:x,y,z",
-        ),
+        (_text("still-many", server="clients = 0"), "robots"),
+        (_text("still-many", server="surplus = 1"), "surplus"),
     ],
 )
 def test_what_cannot_be_served_is_refused_by_name(site: Path, text: str, word: str) -> None:
     registry = discover()
     config = parse_config(text, registry=registry)
-    options = OpenpiOptions.model_validate(dict(config.options("openpi")))
     with pytest.raises(ConfigurationError, match=word):
-        served_options(config, registry, options)
+        served_options(config, registry, config.options("openpi"), {})
+
+
+@pytest.mark.parametrize(
+    ("interface", "word"),
+    [
+        (
+            {"profile": "ur5e", "joints": ["a", "b", "c", "d", "e", "f"]},
+            "answers in 'ee_delta_base', profile 'ur5e' is for 'joint_position@20:a,b",
+        ),
+        (
+            {"profile": "libero", "image_keys": {"wrist": "w"}},
+            "needs the camera 'primary'; profile 'libero' has keys for wrist",
+        ),
+    ],
+)
+def test_an_interface_that_does_not_fit_the_backend_is_refused(
+    interface: dict[str, Any], word: str
+) -> None:
+    options = InterfaceOptions.model_validate(interface)
+    with pytest.raises(ConfigurationError, match=word):
+        served_layout(options, REFLEX, EE_DELTA)
 
 
 def test_the_command_serves_until_it_is_told_to_end(site: Path, tmp_path: Path) -> None:
@@ -128,10 +143,10 @@ def test_the_command_serves_until_it_is_told_to_end(site: Path, tmp_path: Path) 
     assert process.stdout is not None
     try:
         line = process.stdout.readline().strip()
-        assert line.endswith("(backend still, profile roboneuron, ee_delta)")
+        assert line.endswith("(backend still)")
         url = line.split()[2]
         assert http_get(url, "/healthz") == (200, b"OK\n")
-        backend = OpenpiBackend(OpenpiOptions(url=url, profile="roboneuron"))
+        backend = PolicyBackend(PolicyOptions(url=url))
         backend.load()
         backend.close()
         process.terminate()

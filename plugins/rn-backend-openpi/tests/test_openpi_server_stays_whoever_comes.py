@@ -25,10 +25,10 @@ from openpi_clients import (
 )
 from openpi_format import encode
 from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.frames import Frame, Opcode
 from websockets.sync.client import connect
 
 from rn_backend_openpi.case import Reflex, serving
-from rn_backend_openpi.options import OpenpiOptions
 from rn_testing.waiting import is_closed
 from roboneuron import ActionChunk
 
@@ -95,6 +95,26 @@ def test_garbage_ends_its_own_connection_and_no_other(request_: Any, word: str) 
             assert caught.value.rcvd is not None
             assert caught.value.rcvd.code == 1011
         np.testing.assert_array_equal(ask(good)["actions"], before)
+
+
+@pytest.mark.parametrize(
+    "frame",
+    [
+        Frame(Opcode.BINARY, b"\x91" * 100_000).serialize(mask=True),
+        Frame(Opcode.BINARY, b"nope").serialize(mask=False),
+        b"\x82\xff" + (1 << 40).to_bytes(8, "big") + bytes(4),
+        b"\xff" * 64,
+    ],
+)
+def test_a_frame_that_is_none_ends_its_own_connection_and_no_other(frame: bytes) -> None:
+    with served() as url, open_client(url) as good:
+        with open_client(url) as bad:
+            bad.socket.sendall(frame)
+            with suppress(ConnectionClosed):
+                while True:
+                    bad.recv(timeout=SLACK_S)
+            assert bad.close_code is not None
+        assert ask(good)["actions"].shape == (4, 7)
 
 
 def test_a_frame_that_is_too_large_is_not_read(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -174,7 +194,7 @@ def test_a_client_that_does_not_read_holds_nobody_up(monkeypatch: pytest.MonkeyP
     # waiting for it would take a minute, `ask` waits for a part of that
     monkeypatch.setattr("rn_backend_openpi.listener.SEND_S", 60.0)
     with (
-        serving(OpenpiOptions(profile="roboneuron"), Wide()) as url,
+        serving(Wide()) as url,
         _reading_nothing(url),
         open_client(url) as good,
     ):
@@ -185,7 +205,7 @@ def test_a_client_that_does_not_read_holds_nobody_up(monkeypatch: pytest.MonkeyP
 @pytest.mark.exhaustive
 def test_a_client_that_does_not_read_is_dropped(caplog: pytest.LogCaptureFixture) -> None:
     with (
-        serving(OpenpiOptions(profile="roboneuron"), Wide(), robots=1) as url,
+        serving(Wide(), robots=1) as url,
         _reading_nothing(url),
     ):
         deadline_s = time.monotonic() + 30.0
@@ -200,7 +220,7 @@ def test_a_client_that_does_not_read_is_dropped(caplog: pytest.LogCaptureFixture
 
 
 def test_a_client_that_asks_nothing_for_long_is_let_go(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rn_backend_openpi.conversations.IDLE_S", 0.3)
+    monkeypatch.setattr("rn_backend_openpi.conversation.IDLE_S", 0.3)
     with served() as url, open_client(url) as idle:
         with pytest.raises(ConnectionClosed) as caught:
             idle.recv(timeout=SLACK_S)

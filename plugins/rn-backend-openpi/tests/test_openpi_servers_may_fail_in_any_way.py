@@ -4,6 +4,7 @@ returns.
 
 from __future__ import annotations
 
+import logging
 import shutil
 import socket
 import ssl
@@ -20,8 +21,8 @@ import pytest
 from middle_man import MiddleMan
 from openpi_clients import TIMEOUT_S
 
-from rn_backend_openpi.backend import OpenpiBackend
-from rn_backend_openpi.options import OpenpiOptions
+from rn_backend_openpi.backend import PolicyBackend
+from rn_backend_openpi.options import PolicyOptions
 from roboneuron.contract import Observation
 from roboneuron.errors import (
     ConfigurationError,
@@ -37,9 +38,9 @@ SLACK_S = 6.0
 
 
 @pytest.fixture
-def backend(options: Callable[..., OpenpiOptions]) -> Iterator[OpenpiBackend]:
+def backend(options: Callable[..., PolicyOptions]) -> Iterator[PolicyBackend]:
     """A loaded backend."""
-    made = OpenpiBackend(options())
+    made = PolicyBackend(options())
     made.load()
     yield made
     made.close()
@@ -64,7 +65,7 @@ def _freezing(url: str) -> Iterator[tuple[str, Callable[[], None]]]:
         ended.set()
 
 
-def _recovers(backend: OpenpiBackend, observation: Observation) -> None:
+def _recovers(backend: PolicyBackend, observation: Observation) -> None:
     """Predict again, repeated while it is not ready."""
     deadline_s = time.monotonic() + 10.0
     while True:
@@ -76,7 +77,7 @@ def _recovers(backend: OpenpiBackend, observation: Observation) -> None:
 
 
 def test_a_request_holds_what_openpis_libero_client_sends(
-    policy_server: Any, backend: OpenpiBackend, observe: Observe
+    policy_server: Any, backend: PolicyBackend, observe: Observe
 ) -> None:
     backend.predict(observe(primary=200, size=(112, 224), instruction="close the drawer"))
     request = policy_server.requests[-1]
@@ -91,7 +92,7 @@ def test_a_request_holds_what_openpis_libero_client_sends(
 
 
 def test_the_answer_becomes_contract_actions_with_the_servers_own_time(
-    policy_server: Any, backend: OpenpiBackend, observe: Observe
+    policy_server: Any, backend: PolicyBackend, observe: Observe
 ) -> None:
     actions = np.array([[1.0, 0, 0, 0, 0, 0.5, -1.0]] * 3, dtype=np.float32)
     policy_server.answer = lambda request: {
@@ -106,10 +107,10 @@ def test_the_answer_becomes_contract_actions_with_the_servers_own_time(
 
 
 def test_two_cameras_are_sent_and_a_missing_one_is_refused(
-    policy_server: Any, options: Callable[..., OpenpiOptions], observe: Observe
+    policy_server: Any, options: Callable[..., PolicyOptions], observe: Observe
 ) -> None:
     keys = {"primary": "observation/image", "wrist": "observation/wrist_image"}
-    backend = OpenpiBackend(options(image_keys=keys, action_steps=2, image_flip="rotate-180"))
+    backend = PolicyBackend(options(image_keys=keys, action_steps=2, image_flip="rotate-180"))
     backend.load()
     assert backend.predict(observe(wrist=7)).actions.shape == (2, 7)
     assert policy_server.requests[-1]["observation/wrist_image"].max() == 7
@@ -119,7 +120,7 @@ def test_two_cameras_are_sent_and_a_missing_one_is_refused(
 
 
 def test_an_answer_that_nobody_asked_for_is_not_taken_for_the_next(
-    policy_server: Any, backend: OpenpiBackend, observe: Observe
+    policy_server: Any, backend: PolicyBackend, observe: Observe
 ) -> None:
     good = policy_server.answer
     backend.predict(observe())
@@ -138,13 +139,13 @@ def test_an_answer_that_nobody_asked_for_is_not_taken_for_the_next(
 
 
 def test_a_server_that_dies_mid_request_is_reported_and_found_again(
-    policy_server: Any, backend: OpenpiBackend, observe: Observe
+    policy_server: Any, backend: PolicyBackend, observe: Observe
 ) -> None:
     good = policy_server.answer
     policy_server.answer = lambda request: policy_server.stop()
-    with pytest.raises(NotReadyError, match="broke"):
+    with pytest.raises(NotReadyError, match="is lost"):
         backend.predict(observe())
-    with pytest.raises(NotReadyError, match="did not answer within 1 s"):
+    with pytest.raises(NotReadyError, match="is being made"):
         backend.predict(observe())
     policy_server.answer = good
     policy_server.start()
@@ -153,7 +154,7 @@ def test_a_server_that_dies_mid_request_is_reported_and_found_again(
 
 
 def test_a_failed_request_is_not_sent_again(
-    policy_server: Any, backend: OpenpiBackend, observe: Observe
+    policy_server: Any, backend: PolicyBackend, observe: Observe
 ) -> None:
     before = len(policy_server.requests)
     policy_server.answer = lambda request: policy_server.cut()
@@ -163,7 +164,7 @@ def test_a_failed_request_is_not_sent_again(
 
 
 def test_a_slow_answer_is_given_up_and_never_taken_for_the_next_one(
-    policy_server: Any, backend: OpenpiBackend, observe: Observe
+    policy_server: Any, backend: PolicyBackend, observe: Observe
 ) -> None:
     released = policy_server.released
 
@@ -183,11 +184,11 @@ def test_a_slow_answer_is_given_up_and_never_taken_for_the_next_one(
 
 
 def test_a_half_open_connection_ends_in_time(
-    options: Callable[..., OpenpiOptions], observe: Observe
+    options: Callable[..., PolicyOptions], observe: Observe
 ) -> None:
     # A peer that answers the handshake and the warm-up, then neither reads nor writes.
     with _freezing(options().url) as (url, freeze):
-        backend = OpenpiBackend(options(url=url, image_size_px=(1024, 1024)))
+        backend = PolicyBackend(options(url=url, image_size_px=(1024, 1024)))
         backend.load()
         freeze()
         start = time.monotonic()
@@ -200,7 +201,7 @@ def test_a_half_open_connection_ends_in_time(
 @pytest.mark.skipif(shutil.which("openssl") is None, reason="makes a certificate with openssl")
 def test_tls_is_verified_and_a_half_open_tls_connection_ends_in_time(
     policy_server: Any,
-    options: Callable[..., OpenpiOptions],
+    options: Callable[..., PolicyOptions],
     observe: Observe,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -224,14 +225,14 @@ def test_tls_is_verified_and_a_half_open_tls_connection_ends_in_time(
     policy_server.tls.load_cert_chain(certificate, key)
     policy_server.start()
     with pytest.raises(ConfigurationError, match="not trusted"):
-        OpenpiBackend(options(url=policy_server.url)).load()
+        PolicyBackend(options(url=policy_server.url)).load()
     monkeypatch.setenv("SSL_CERT_FILE", str(certificate))
-    patient = OpenpiBackend(options(url=policy_server.url, request_timeout_s=60.0))
+    patient = PolicyBackend(options(url=policy_server.url, timeout_s=60.0))
     patient.load()
     assert patient.predict(observe()).note == ""
     patient.close()
     with _freezing(policy_server.url) as (url, freeze):
-        backend = OpenpiBackend(options(url=url, image_size_px=(1024, 1024)))
+        backend = PolicyBackend(options(url=url, image_size_px=(1024, 1024)))
         backend.load()
         freeze()
         start = time.monotonic()
@@ -243,7 +244,7 @@ def test_tls_is_verified_and_a_half_open_tls_connection_ends_in_time(
 
 def test_a_traceback_frame_is_shown_by_its_last_line(
     policy_server: Any,
-    backend: OpenpiBackend,
+    backend: PolicyBackend,
     observe: Observe,
     caplog: pytest.LogCaptureFixture,
 ) -> None:
@@ -263,14 +264,29 @@ def test_a_traceback_frame_is_shown_by_its_last_line(
 @pytest.mark.parametrize(
     ("reply", "word"),
     [
-        (b"\xc1\xc1", "data that is not in openpi's format"),
-        (b"\x81", "data that is not in openpi's format"),
-        ([1, 2], "expected a map"),
         ({"action": np.zeros((1, 7))}, "no array 'actions'"),
         ({"actions": [[0.0] * 7]}, "no array 'actions'"),
         ({"actions": np.zeros((5, 8))}, r"shape \(5, 8\)"),
         ({"actions": np.zeros(7)}, "shape"),
         ({"actions": np.zeros((0, 7))}, "shape"),
+    ],
+)
+def test_a_malformed_answer_is_refused(
+    policy_server: Any, backend: PolicyBackend, observe: Observe, reply: Any, word: str
+) -> None:
+    policy_server.answer = lambda request: reply
+    with pytest.raises(ConfigurationError, match=word):
+        backend.predict(observe())
+    policy_server.answer = lambda request: {"actions": np.zeros((1, 7))}
+    _recovers(backend, observe())
+
+
+@pytest.mark.parametrize(
+    ("reply", "word"),
+    [
+        (b"\xc1\xc1", "not in openpi's format"),
+        (b"\x81", "not in openpi's format"),
+        ([1, 2], "expected a map"),
         (
             {"actions": {b"__ndarray__": True, b"data": b"1234", b"dtype": "|O", b"shape": [1]}},
             "not a number type",
@@ -288,11 +304,11 @@ def test_a_traceback_frame_is_shown_by_its_last_line(
         ),
     ],
 )
-def test_a_malformed_answer_is_refused(
-    policy_server: Any, backend: OpenpiBackend, observe: Observe, reply: Any, word: str
+def test_garbage_ends_the_connection_which_is_made_anew(
+    policy_server: Any, backend: PolicyBackend, observe: Observe, reply: Any, word: str
 ) -> None:
     policy_server.answer = lambda request: reply
-    with pytest.raises(ConfigurationError, match=word):
+    with pytest.raises(NotReadyError, match=word):
         backend.predict(observe())
     policy_server.answer = lambda request: {"actions": np.zeros((1, 7))}
     _recovers(backend, observe())
@@ -300,7 +316,7 @@ def test_a_malformed_answer_is_refused(
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 def test_non_finite_actions_are_unsafe(
-    policy_server: Any, backend: OpenpiBackend, observe: Observe, bad: float
+    policy_server: Any, backend: PolicyBackend, observe: Observe, bad: float
 ) -> None:
     policy_server.answer = lambda request: {"actions": np.full((2, 7), bad)}
     with pytest.raises(UnsafeError, match="non-finite"):
@@ -308,47 +324,60 @@ def test_non_finite_actions_are_unsafe(
 
 
 def test_what_does_not_fit_is_found_by_load(
-    policy_server: Any, options: Callable[..., OpenpiOptions]
+    policy_server: Any, options: Callable[..., PolicyOptions]
 ) -> None:
     policy_server.answer = lambda request: {"actions": np.zeros((10, 8))}
     with pytest.raises(ConfigurationError, match="8"):
-        OpenpiBackend(options()).load()
+        PolicyBackend(options()).load()
     policy_server.answer = lambda request: {"actions": np.full((10, 7), np.nan)}
     with pytest.raises(UnsafeError):
-        OpenpiBackend(options()).load()
+        PolicyBackend(options()).load()
     policy_server.answer = lambda request: {"actions": np.zeros((2, 7))}
     with pytest.raises(ConfigurationError, match="action_steps"):
-        OpenpiBackend(options(action_steps=3)).load()
-    with pytest.raises(ConfigurationError, match="choose one of"):
-        OpenpiBackend(options(profile=None)).load()
+        PolicyBackend(options(action_steps=3)).load()
     policy_server.metadata = "Traceback\nRuntimeError: no GPU"
     with pytest.raises(NotReadyError, match="no GPU"):
-        OpenpiBackend(options()).load()
+        PolicyBackend(options()).load()
 
 
-def test_an_absent_server_is_reported_in_time(options: Callable[..., OpenpiOptions]) -> None:
+def test_an_absent_server_is_reported_in_time(options: Callable[..., PolicyOptions]) -> None:
     with socket.create_server(("127.0.0.1", 0)) as listener:
         free = listener.getsockname()[1]
     start = time.monotonic()
-    with pytest.raises(NotReadyError, match=r"did not answer within 0\.3 s"):
-        OpenpiBackend(options(url=f"ws://127.0.0.1:{free}", connect_timeout_s=0.3)).load()
+    with pytest.raises(NotReadyError, match=r"cannot be reached within 0\.3 s"):
+        PolicyBackend(options(url=f"ws://127.0.0.1:{free}", start_timeout_s=0.3)).load()
     assert time.monotonic() - start < 0.3 + SLACK_S
 
 
 def test_something_else_that_listens_is_reported_in_time(
-    options: Callable[..., OpenpiOptions],
+    options: Callable[..., PolicyOptions],
 ) -> None:
     with socket.create_server(("127.0.0.1", 0)) as silent:
         url = f"ws://127.0.0.1:{silent.getsockname()[1]}"
-        with pytest.raises(NotReadyError, match="did not answer"):
-            OpenpiBackend(options(url=url, connect_timeout_s=0.3)).load()
+        with pytest.raises(NotReadyError, match="cannot be reached"):
+            PolicyBackend(options(url=url, start_timeout_s=0.3)).load()
+
+
+def test_the_warning_is_logged_and_shown_in_every_chunk(
+    options: Callable[..., PolicyOptions],
+    observe: Observe,
+    caplog: pytest.LogCaptureFixture,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("rn_backend_openpi.security.is_loopback", lambda host: False)
+    backend = PolicyBackend(options())
+    with caplog.at_level(logging.WARNING):
+        backend.load()
+    assert "not encrypted" in caplog.text
+    assert "not encrypted" in backend.predict(observe()).note
+    backend.close()
 
 
 def test_predict_is_refused_before_load_and_after_close(
-    backend: OpenpiBackend, observe: Observe
+    backend: PolicyBackend, observe: Observe
 ) -> None:
     backend.close()
     backend.close()
-    for made in (backend, OpenpiBackend(OpenpiOptions(profile="libero"))):
+    for made in (backend, PolicyBackend(PolicyOptions(url="ws://gpu", profile="libero"))):
         with pytest.raises(StateError):
             made.predict(observe())

@@ -11,7 +11,6 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import msgpack
@@ -19,11 +18,12 @@ import numpy as np
 import pytest
 from websockets.sync.client import connect
 
-from rn_backend_openpi.backend import OpenpiBackend
-from rn_backend_openpi.case import REFLEX, Reflex, serving
+from rn_backend_openpi.backend import PolicyBackend
+from rn_backend_openpi.case import REFLEX, Reflex, ReflexOptions, serving
+from rn_backend_openpi.description import PROTOCOL, READY, describe_arena, facts_of
 from rn_backend_openpi.interface import layout_of
-from rn_backend_openpi.metadata import describe, describe_arena
-from rn_backend_openpi.options import OpenpiOptions
+from rn_backend_openpi.interface_options import InterfaceOptions
+from rn_backend_openpi.options import PolicyOptions
 from roboneuron import (
     Channel,
     ConfigurationError,
@@ -67,9 +67,9 @@ ARRAY = bytes.fromhex(
 """A reply that is an array instead of a map."""
 
 
-def _backend(server: Any, **options: Any) -> OpenpiBackend:
-    given = {"connect_timeout_s": 5.0, "request_timeout_s": 5.0, **ARENA_OPTIONS, **options}
-    backend = OpenpiBackend(OpenpiOptions(url=server.url, **given))
+def _backend(server: Any, **options: Any) -> PolicyBackend:
+    given = {"start_timeout_s": 5.0, "timeout_s": 5.0, **ARENA_OPTIONS, **options}
+    backend = PolicyBackend(PolicyOptions(url=server.url, **given))
     backend.load()
     return backend
 
@@ -173,9 +173,9 @@ def test_our_server_speaks_roboarenas_dialect(observe: Observe) -> None:
     channels.append(Channel(name="gripper_open", unit="opening"))
     space = ControlSpace(kind="joint_position", channels=tuple(channels), rate_hz=15.0)
     given = {"profile": "roboarena", "joints": ARM}
-    model = Reflex(space, 1 / 15)
+    model = Reflex(ReflexOptions(step_s=1 / 15), space=space)
     spec = replace(REFLEX, optional_cameras=("wrist", "secondary"))
-    with serving(OpenpiOptions(dialect="roboarena", **given), model, spec, space=space) as url:
+    with serving(model, spec, interface={"dialect": "roboarena", **given}, space=space) as url:
         with connect(url, compression=None, proxy=None) as plain:
             told = msgpack.unpackb(plain.recv(timeout=10.0))
         assert told == {
@@ -186,7 +186,7 @@ def test_our_server_speaks_roboarenas_dialect(observe: Observe) -> None:
             "needs_session_id": False,
             "action_space": "joint_position",
         }
-        backend = OpenpiBackend(OpenpiOptions(url=url, **given))
+        backend = PolicyBackend(PolicyOptions(url=url, **given))
         backend.load()
         seen = _seen(observe)
         frames = dict.fromkeys(("primary", "secondary", "wrist"), seen.frames["primary"])
@@ -194,9 +194,7 @@ def test_our_server_speaks_roboarenas_dialect(observe: Observe) -> None:
         assert backend.predict(replace(seen, frames=frames)).actions.shape == (4, 8)
         backend.close()
     with pytest.raises(ConfigurationError, match="no name for the action space 'joint_delta'"):
-        describe_arena(
-            layout_of(OpenpiOptions(profile="roboneuron", space="joint_delta", joints=ARM))
-        )
+        describe_arena(layout_of(InterfaceOptions(**OWN)))
 
 
 def test_a_server_without_a_policy_is_shown_in_its_own_words(policy_server: Any) -> None:
@@ -233,45 +231,48 @@ def test_a_size_that_the_server_does_not_take_is_refused(policy_server: Any) -> 
     _backend(policy_server, image_size_px=(180, 320)).close()
 
 
+OWN = {
+    "profile": "own",
+    "action": {"kind": "joint_delta", "gripper": "open_fraction", "rate_hz": 15.0},
+    "state_keys": {"state": ["joints"]},
+    "joints": ARM,
+    "image_keys": {"primary": "observation/image"},
+}
+
+
 @pytest.mark.parametrize(
     ("theirs", "word"),
     [
-        ({"profile": "droid-position"}, "profile is 'droid-position', .* says 'roboneuron'"),
-        ({"space": "joint_velocity"}, "'joint_velocity@15:.*', the configuration says 'joint_pos"),
-        ({"rate_hz": 10.0}, "@10:"),
+        ({"profile": "droid-position"}, "profile is 'droid-position' at the server, 'own' in"),
+        ({"action": {**OWN["action"], "kind": "joint_velocity"}}, "'joint_velocity@15:"),
+        ({"action": {**OWN["action"], "rate_hz": 10.0}}, "@10:"),
         ({"joints": ARM[::-1]}, "joint7,joint6"),
-        ({"slides": ARM[2:3]}, "joint3 is in 'm' of frame '', the configuration says 'rad'"),
-        ({"image_keys": {"primary": "rgb"}}, "takes the camera 'primary' at 'rgb'"),
+        ({"image_keys": {"primary": "rgb"}}, "the key of the camera 'primary' is 'rgb' at"),
         ({"image_axes": "chw"}, "image_axes is 'chw' at the server"),
         ({"prompt_key": "task"}, "prompt_key is 'task' at the server"),
+        (None, "has no `interface`"),
     ],
 )
 def test_a_roboneuron_server_with_another_interface_is_refused_by_name(
-    policy_server: Any, theirs: dict[str, Any], word: str
+    policy_server: Any, theirs: dict[str, Any] | None, word: str
 ) -> None:
-    common = {
-        "profile": "roboneuron",
-        "space": "joint_position",
-        "rate_hz": 15.0,
-        "joints": ARM,
-        "image_keys": {"primary": "observation/image"},
-    }
-    options = {**common, **theirs}
-    if "profile" in theirs:
-        del options["space"], options["rate_hz"]
-    told = describe(
-        layout_of(OpenpiOptions(**options)), backend="b", needed=("primary",), horizon=4
-    )
-    policy_server.metadata, policy_server.answer = told, _rows()
+    own: dict[str, Any] = {"protocol": PROTOCOL, "state": READY, "pid": 1}
+    if theirs is not None:
+        options = {**OWN, **theirs}
+        if "profile" in theirs:
+            del options["action"], options["state_keys"]
+        own["interface"] = facts_of(layout_of(InterfaceOptions(**options)))
+    policy_server.metadata, policy_server.answer = {"roboneuron": own}, _rows()
     with pytest.raises(ConfigurationError, match=word):
-        _backend(policy_server, **common)
+        _backend(policy_server, **OWN)
     assert not policy_server.requests
 
 
-def test_a_server_of_another_version_is_refused(policy_server: Any) -> None:
-    policy_server.metadata = {"server": "roboneuron", "protocol": 99}
-    with pytest.raises(ConfigurationError, match="version 99"):
-        _backend(policy_server)
+def test_a_server_without_ours_facts_needs_a_profile(policy_server: Any) -> None:
+    backend = PolicyBackend(PolicyOptions(url=policy_server.url))
+    with pytest.raises(ConfigurationError) as caught:
+        backend.load()
+    assert "libero" in caught.value.hint
 
 
 def test_a_server_that_sends_no_metadata_is_told_apart(policy_server: Any) -> None:
@@ -279,8 +280,8 @@ def test_a_server_that_sends_no_metadata_is_told_apart(policy_server: Any) -> No
     released = threading.Event()
     policy_server.greet = lambda connection: released.wait(30.0)
     start = time.monotonic()
-    with pytest.raises(NotReadyError, match="accepted the connection, but sends no metadata"):
-        _backend(policy_server, connect_timeout_s=0.4)
+    with pytest.raises(NotReadyError, match="accepted the connection, but sends no first"):
+        _backend(policy_server, start_timeout_s=0.4)
     assert time.monotonic() - start < 6.0
     released.set()
 
@@ -299,28 +300,6 @@ def test_a_connection_that_an_idle_server_closed_costs_no_prediction(
     policy_server.answer = _rows()
     backend = _backend(policy_server)
     policy_server.connection.close(code=1001, reason="idle")
-    deadline_s = time.monotonic() + 5.0
-    while backend._session.client.is_connected and time.monotonic() < deadline_s:
-        policy_server.released.wait(0.01)
+    policy_server.connection.recv_events_thread.join(5.0)
     assert backend.predict(_seen(observe)).metrics["connections"] == 2
     backend.close()
-
-
-def test_the_key_comes_from_a_file_that_only_its_owner_reads(
-    policy_server: Any, tmp_path: Path
-) -> None:
-    policy_server.answer, key = _rows(), tmp_path / "key"
-    with pytest.raises(ConfigurationError, match="cannot be read"):
-        _backend(policy_server, api_key_file=key)
-    key.write_text("a-key-of-some-length\n")
-    key.chmod(0o644)
-    with pytest.raises(ConfigurationError, match="Others may read"):
-        _backend(policy_server, api_key_file=key)
-    key.chmod(0o600)
-    _backend(policy_server, api_key_file=key).close()
-    assert policy_server.headers[-1]["Authorization"] == "Api-Key a-key-of-some-length"
-    for text in ("short", "with a space in the middle", "ä" * 20):
-        key.write_text(text)
-        with pytest.raises(ConfigurationError) as caught:
-            _backend(policy_server, api_key_file=key)
-        assert text not in str(caught.value)

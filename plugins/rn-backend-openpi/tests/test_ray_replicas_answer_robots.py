@@ -5,11 +5,9 @@ address.
 from __future__ import annotations
 
 import builtins
-import importlib
 import os
 import shutil
 import signal
-import sys
 import tempfile
 import threading
 import time
@@ -24,10 +22,11 @@ import pytest
 from openpi_clients import http_get
 from policy_servers import SEEN, RunningServer, robot_of, seen
 
+from rn_backend_openpi.backend import PolicyBackend
+from rn_backend_openpi.case import Reflex, ReflexOptions
 from rn_backend_openpi.ray_engine import RayModel, ray_models
 from rn_backend_openpi.serve_command import name_of
-from rn_backend_openpi.shared_backend import SharedBackend
-from rn_backend_openpi.shared_options import RayOptions, ReplicaOptions, ServedModelOptions
+from rn_backend_openpi.server_options import RayOptions, ReplicaOptions, ServedModelOptions
 from rn_testing.waiting import wait_until
 from roboneuron import Ahead, ConfigurationError, MissingDependencyError, NotReadyError
 from roboneuron.command import discover
@@ -57,7 +56,7 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningServer]:
 
 
 @pytest.fixture
-def robots(server: RunningServer) -> Iterator[list[SharedBackend]]:
+def robots(server: RunningServer) -> Iterator[list[PolicyBackend]]:
     """Loaded backends of many robots."""
     token = str(server.folder / "token")
     made = [robot_of(server.address, token_file=token, coding="raw") for _ in range(ROBOTS)]
@@ -84,12 +83,10 @@ def replicas_of(server: RunningServer) -> list[int]:
 
 @pytest.mark.slow
 def test_answers_are_those_of_the_same_backend_here_bit_for_bit(
-    server: RunningServer, robots: list[SharedBackend], monkeypatch: pytest.MonkeyPatch
+    server: RunningServer, robots: list[PolicyBackend], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.syspath_prepend(str(server.folder / "site"))
-    reflex = importlib.import_module("rn_reflex_plugin")
-    monkeypatch.delitem(sys.modules, "rn_reflex_plugin")
-    alone = reflex.Reflex(reflex.Options(rows=6))
+    alone = Reflex(ReflexOptions(rows=6))
     alone.load()
     with ThreadPoolExecutor(ROBOTS) as pool:
         told = list(pool.map(lambda i: robots[i].predict(seen(i)), range(ROBOTS)))
@@ -100,7 +97,7 @@ def test_answers_are_those_of_the_same_backend_here_bit_for_bit(
 
 
 @pytest.mark.slow
-def test_a_robot_keeps_the_replica_that_holds_its_context(robots: list[SharedBackend]) -> None:
+def test_a_robot_keeps_the_replica_that_holds_its_context(robots: list[PolicyBackend]) -> None:
     """Another replica has no context and would answer with -1."""
     for one in robots[:6]:
         first = one.predict(SEEN)
@@ -119,7 +116,7 @@ def test_a_robot_keeps_the_replica_that_holds_its_context(robots: list[SharedBac
 
 @pytest.mark.slow
 def test_replicas_killed_in_turn_cost_no_answer(
-    server: RunningServer, robots: list[SharedBackend]
+    server: RunningServer, robots: list[PolicyBackend]
 ) -> None:
     end, lost, longest_s = threading.Event(), [0] * ROBOTS, [0.0] * ROBOTS
 
@@ -157,7 +154,7 @@ def test_a_replica_is_added_when_observations_wait(server: RunningServer) -> Non
     made = [robot_of(server.address, token_file=token, coding="raw") for _ in range(ROBOTS)]
     end = threading.Event()
 
-    def drive(one: SharedBackend) -> None:
+    def drive(one: PolicyBackend) -> None:
         one.load()
         while not end.is_set():
             one.predict(SEEN)
@@ -175,7 +172,7 @@ def test_a_replica_is_added_when_observations_wait(server: RunningServer) -> Non
 
 @pytest.mark.slow
 def test_a_server_that_is_stopped_answers_those_that_are_connected(
-    server: RunningServer, robots: list[SharedBackend]
+    server: RunningServer, robots: list[PolicyBackend]
 ) -> None:
     url = f"ws://{server.address}"
     os.kill(server.pid, signal.SIGTERM)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import json
 import os
 import signal
@@ -23,15 +22,15 @@ from policy_servers import (
     servers_in,
 )
 
+from rn_backend_openpi.case import Reflex, ReflexOptions, options_in
+from rn_backend_openpi.client import PolicyClient
 from rn_backend_openpi.links import directory_of
-from rn_backend_openpi.remote import ModelLink
-from rn_backend_openpi.shared_case import options_in
-from rn_backend_openpi.shared_options import SharedOptions
+from rn_backend_openpi.messages import RESERVED, Document
+from rn_backend_openpi.options import PolicyOptions
 from rn_testing.waiting import wait_until
 from roboneuron import (
     ConfigurationError,
     InvalidInputError,
-    Observation,
     RoboNeuronError,
 )
 
@@ -83,8 +82,7 @@ def test_raw_answers_equal_those_of_the_same_backend_here_bit_for_bit(
     served: Robot, tmp_path: Path
 ) -> None:
     robot = served(options={"rows": 6})
-    reflex = importlib.import_module("rn_reflex_plugin")
-    alone = reflex.Reflex(reflex.Options(rows=6))
+    alone = Reflex(ReflexOptions(rows=6))
     alone.load()
     drawn = np.random.default_rng(0)
     assert SEEN.joints is not None
@@ -108,13 +106,13 @@ def test_images_that_the_model_does_not_use_are_not_sent(
 ) -> None:
     sent: list[list[str]] = []
     one = served()
-    ask = ModelLink.ask
+    ask = PolicyClient.ask
 
-    def watched(link: ModelLink, observation: Observation, deadline_s: float) -> Any:
-        sent.append(list(observation.frames))
-        return ask(link, observation, deadline_s)
+    def watched(client: PolicyClient, observation: Document, deadline_s: float) -> Any:
+        sent.append(list(observation[RESERVED]["frames"]))
+        return ask(client, observation, deadline_s)
 
-    monkeypatch.setattr(ModelLink, "ask", watched)
+    monkeypatch.setattr(PolicyClient, "ask", watched)
     frame = SEEN.frames["primary"]
     one.predict(replace(SEEN, frames={"primary": frame, "wrist": frame, "top": frame}))
     assert sent == [["primary", "wrist"]]
@@ -132,7 +130,7 @@ def test_sockets_lie_where_only_this_user_can_reach_them(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    options = SharedOptions(backend="reflex")
+    options = PolicyOptions(backend="reflex")
     folder = directory_of(options)
     assert folder == tmp_path / "roboneuron"
     assert folder.stat().st_mode & 0o777 == 0o700
@@ -142,10 +140,10 @@ def test_sockets_lie_where_only_this_user_can_reach_them(
 
 
 def test_robots_with_other_model_options_use_another_server() -> None:
-    base = SharedOptions(backend="oft", checkpoint="/models/a")
+    base = PolicyOptions(backend="oft", checkpoint="/models/a")
     assert (
         base.identity()
-        == SharedOptions(backend="oft", checkpoint="/models/a", timeout_s=0.2).identity()
+        == PolicyOptions(backend="oft", checkpoint="/models/a", timeout_s=0.2).identity()
     )
     for other in ({"checkpoint": "/models/b"}, {"options": {"profile": "libero"}}, {"most": 4}):
         assert base.identity() != base.model_copy(update=other).identity()

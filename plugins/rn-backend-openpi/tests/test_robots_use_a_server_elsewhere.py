@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import importlib
 import socket
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,7 +15,7 @@ from policy_servers import (
     answers,
 )
 
-from rn_backend_openpi.shared_options import SharedOptions
+from rn_backend_openpi.case import Reflex, ReflexOptions
 from rn_testing.waiting import wait_until
 from roboneuron import (
     Ahead,
@@ -40,9 +38,7 @@ def test_answers_over_tls_equal_those_of_the_same_backend_here_bit_for_bit(
     server = serve({"only": {"options": own}})
     far = robot(server.address, coding=coding)
     monkeypatch.syspath_prepend(str(tmp_path / "site"))
-    reflex = importlib.import_module("rn_reflex_plugin")
-    monkeypatch.delitem(sys.modules, "rn_reflex_plugin")
-    alone = reflex.Reflex(reflex.Options(**own))
+    alone = Reflex(ReflexOptions(**own))
     alone.load()
     drawn = np.random.default_rng(0)
     assert SEEN.ee_pose is not None
@@ -116,19 +112,6 @@ def test_a_wrong_file_is_one_clear_error(
         path.write_text(text)
         assert main(["serve-policy", "--config", str(path)]) != 0
         assert expected in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("options", "expected"),
-    [
-        ({}, "name the backend"),
-        ({"backend": "oft", "model": "a"}, "belong to a server with an address"),
-        ({"address": "gpu:1", "ca": "x"}, "ca belongs"),
-    ],
-)
-def test_options_that_do_not_fit_are_refused(options: dict[str, str], expected: str) -> None:
-    with pytest.raises(ValueError, match=expected):
-        SharedOptions.model_validate(options)
 
 
 def test_a_server_that_is_not_there_is_an_error_after_a_while(

@@ -17,9 +17,9 @@ from policy_servers import (
     seen,
 )
 
+from rn_backend_openpi.case import install, options_in
 from rn_backend_openpi.model import SharedModel
-from rn_backend_openpi.shared_case import install, options_in
-from rn_backend_openpi.shared_options import SharedOptions
+from rn_backend_openpi.options import PolicyOptions
 from roboneuron import (
     ActionChunk,
     Ahead,
@@ -75,7 +75,7 @@ def test_a_batch_holds_those_whose_rows_do_not_go_on(tmp_path: Path) -> None:
     try:
         for continues in (True, False):
             options = options_in(tmp_path, options={"rows": 6, "continues": continues})
-            model = SharedModel(SharedOptions.model_validate(options))
+            model = SharedModel(PolicyOptions.model_validate(options))
             model.load()
             asked: list[int] = []
             many = model._many
@@ -100,4 +100,3 @@ def test_a_batch_holds_those_whose_rows_do_not_go_on(tmp_path: Path) -> None:
                     np.testing.assert_allclose(chunk.actions, single.actions, rtol=0, atol=1e-5)
     finally:
         sys.path.remove(str(tmp_path / "site"))
-        sys.modules.pop("rn_reflex_plugin", None)

@@ -17,7 +17,7 @@ import pytest
 from policy_servers import RunningServer
 
 from rn_backend_openpi.serve_command import ServePolicyCommand, deployment_file
-from rn_backend_openpi.shared_options import ListenOptions
+from rn_backend_openpi.server_options import ListenOptions
 from rn_testing.waiting import wait_until
 from roboneuron.cli.main import main
 

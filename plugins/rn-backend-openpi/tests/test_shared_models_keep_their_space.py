@@ -7,7 +7,7 @@ import pytest
 
 from rn_backend_openpi.batching import _with_metrics
 from rn_backend_openpi.messages import from_answer, to_answer
-from rn_backend_openpi.shared_space import shared_space
+from rn_backend_openpi.space import policy_space
 from rn_backend_openpi.wire import pack, unpack
 from roboneuron import (
     EE_DELTA,
@@ -66,20 +66,20 @@ def test_deltas_of_the_tcp_stay_the_contracts_own() -> None:
 
 def test_the_backend_that_holds_the_model_says_its_space() -> None:
     own = {"profile": "own", "constants": "aloha", "joints": JOINTS}
-    space = shared_space({"backend": "oft", "options": own}, ROBOT)
+    space = policy_space({"backend": "oft", "options": own}, ROBOT)
     assert space.kind == "joint_position"
     assert space.size == 14
     with pytest.raises(ConfigurationError, match="needs the option 'joints'"):
-        shared_space({"backend": "oft", "options": {**own, "joints": None}}, ROBOT)
+        policy_space({"backend": "oft", "options": {**own, "joints": None}}, ROBOT)
 
 
 def test_the_space_of_a_model_with_an_address_is_said_by_a_person() -> None:
     given = {"address": "gpu:1", "space": {"kind": "joint_position", "rate_hz": 20.0}}
-    space = shared_space(given, ROBOT)
+    space = policy_space(given, ROBOT)
     assert (space.kind, space.rate_hz, space.size) == ("joint_position", 20.0, 14)
     turned = tuple(reversed(space.keys))
     for kind in ("joint_position", "joint_delta"):
-        own = shared_space({**given, "space": {"kind": kind, "channels": list(turned)}}, ROBOT)
+        own = policy_space({**given, "space": {"kind": kind, "channels": list(turned)}}, ROBOT)
         assert own.kind == kind
         assert own.keys == turned
         assert own.channels[-1] == space.channels[0]
@@ -89,10 +89,10 @@ def test_the_space_of_a_model_with_an_address_is_said_by_a_person() -> None:
         {"kind": "sideways"},
         {"kind": "ee_delta"},
     ):
-        with pytest.raises(ConfigurationError, match=r"plugins\.shared\.space"):
-            shared_space({**given, "space": wrong}, ROBOT)
+        with pytest.raises(ConfigurationError, match="The option space"):
+            policy_space({**given, "space": wrong}, ROBOT)
 
 
 @pytest.mark.parametrize("options", [{"backend": "elsewhere"}, {"backend": "oft"}, {"no": 1}])
 def test_other_models_move_the_tcp(options: dict[str, object]) -> None:
-    assert shared_space(options, ROBOT) is EE_DELTA
+    assert policy_space(options, ROBOT) is EE_DELTA

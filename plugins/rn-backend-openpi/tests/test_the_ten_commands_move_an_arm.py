@@ -21,7 +21,7 @@ import numpy as np
 import pytest
 from link_machines import Machine, Talker, impossible, machines
 
-from rn_backend_openpi.shared_options import PolicyServerOptions
+from rn_backend_openpi.server_options import PolicyServerOptions
 from rn_testing.waiting import wait_until
 
 pytestmark = [

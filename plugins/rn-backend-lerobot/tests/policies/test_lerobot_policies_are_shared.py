@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from lerobot_cell import NAMES, RATE_HZ, Load, observe
 
-from rn_backend_openpi.shared_backend import SharedBackend
-from rn_backend_openpi.shared_options import SharedOptions
-from rn_backend_openpi.shared_space import shared_space
+from rn_backend_openpi.backend import PolicyBackend
+from rn_backend_openpi.options import PolicyOptions
+from rn_backend_openpi.space import policy_space
 from roboneuron import CameraProfile, ConfigurationError, GripperProfile, RobotProfile
 
 pytestmark = pytest.mark.timeout(300)
@@ -50,10 +50,10 @@ def options(checkpoint: Path, directory: Path) -> dict[str, Any]:
 
 
 @pytest.fixture
-def robots(checkpoints: dict[str, Path], tmp_path: Path) -> Iterator[list[SharedBackend]]:
+def robots(checkpoints: dict[str, Path], tmp_path: Path) -> Iterator[list[PolicyBackend]]:
     """Two robots of one server."""
-    given = SharedOptions.model_validate(options(checkpoints["act"], tmp_path / "run"))
-    made = [SharedBackend(given), SharedBackend(given)]
+    given = PolicyOptions.model_validate(options(checkpoints["act"], tmp_path / "run"))
+    made = [PolicyBackend(given), PolicyBackend(given)]
     for backend in made:
         backend.load()
     yield made
@@ -62,10 +62,10 @@ def robots(checkpoints: dict[str, Path], tmp_path: Path) -> Iterator[list[Shared
 
 
 def test_robots_that_share_a_policy_get_the_chunks_it_gives_alone(
-    robots: list[SharedBackend], checkpoints: dict[str, Path], load: Load, tmp_path: Path
+    robots: list[PolicyBackend], checkpoints: dict[str, Path], load: Load, tmp_path: Path
 ) -> None:
     alone = load("act")
-    space = shared_space(options(checkpoints["act"], tmp_path / "run"), ROBOT)
+    space = policy_space(options(checkpoints["act"], tmp_path / "run"), ROBOT)
     with ThreadPoolExecutor(len(robots)) as pool:
         for tick in range(0, 8, 2):
             seen = [observe(tick), observe(tick + 1)]
@@ -83,7 +83,7 @@ def test_a_policy_that_remembers_observations_is_not_shared(
     checkpoints: dict[str, Path], tmp_path: Path
 ) -> None:
     given = options(checkpoints["diffusion"], tmp_path / "run")
-    backend = SharedBackend(SharedOptions.model_validate(given))
+    backend = PolicyBackend(PolicyOptions.model_validate(given))
     with pytest.raises(ConfigurationError, match="cannot answer several observations at once"):
         backend.load()
     backend.close()

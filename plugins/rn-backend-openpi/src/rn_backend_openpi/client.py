@@ -1,6 +1,4 @@
-"""A client of openpi's websocket policy server: one request at a time, bounded waits, automatic
-reconnection.
-"""
+"""A robot's connection to the server of its policy, with automatic reconnection."""
 
 from __future__ import annotations
 
@@ -9,236 +7,376 @@ import socket
 import ssl
 import threading
 import time
-from collections.abc import Mapping
-from pathlib import Path
-from urllib.parse import urlsplit
+from collections.abc import Callable, Sequence
+from typing import TypeVar
 
-import numpy as np
-from numpy.typing import NDArray
 from websockets.exceptions import InvalidURI
 
 from rn_backend_openpi.connection import HandshakeRefused, PolicyConnection
-from rn_backend_openpi.messages import RESERVED
-from rn_backend_openpi.security import authorization, trusting, tune
-from rn_backend_openpi.session import READY
-from rn_backend_openpi.wire import Value, pack, unpack
-from roboneuron import ConfigurationError, ForeignDataError, NotReadyError
+from rn_backend_openpi.description import ModelLoadingError, ServerDescription
+from rn_backend_openpi.introduction import from_profile
+from rn_backend_openpi.links import LocalServer
+from rn_backend_openpi.messages import Document
+from rn_backend_openpi.options import PolicyOptions
+from rn_backend_openpi.security import (
+    ServerAddress,
+    authorization,
+    has_link_keys,
+    link_stamps,
+    place_of,
+    tune,
+)
+from rn_backend_openpi.session import PolicySession, Reply, Request, receive
+from roboneuron import (
+    ActionChunk,
+    ConfigurationError,
+    ForeignDataError,
+    NotReadyError,
+    RoboNeuronError,
+    RobotProfile,
+)
 
-Reply = dict[object, object] | NDArray[np.generic]
-_FIRST_PAUSE_S = 0.05
-_LONGEST_PAUSE_S = 1.0
+log = logging.getLogger(__name__)
+Answer = TypeVar("Answer")
+_CONNECT_S = 3.0
+_GREET_S = 2.0
+_DESCRIBE_S = 5.0
+_REACH_S = 10.0
+"""Longest wait for an unreachable server at the start; the wait for a loading one is longer."""
+_LOOK_S, _LOCAL_LOOK_S = 0.2, 0.02
+_FIRST_PAUSE_S, _LAST_PAUSE_S = 0.1, 2.0
+_FRESH_S = 0.2
+"""Longest wait of an observation for a new connection; a later one needs a newer observation."""
+_SILENT = 3
+"""Number of consecutive deadlines without an answer after which the connection is replaced."""
+_LEAST_SILENT_S = 1.0
+_KEYS_S = 1.0
+"""Period of checks for changed keys."""
 _UNAUTHORIZED = (401, 403)
 _NOT_HERE = (200, 400, 404, 405, 410, 426, 501)
 """Of a server of another kind, or at another path; it stays so."""
-_SHOWN = 300
-_SILENT_S = 5.0
-_RESET_DONE = "reset successful"
-"""Reply to a reset. Source: roboarena policy_server.py."""
-log = logging.getLogger(__name__)
 
 
 class PolicyClient:
-    """Client of openpi's policy protocol; used from one thread, except `close`.
+    """Client of a policy server at a URL or an address, or of one on this machine, which is started
+    if it is missing; used from one thread, except `close`.
 
-    A failed request is never repeated: by then its images are old, and the caller has newer ones.
-    The connection is dropped after every failure, so that a late answer cannot be mistaken for that
-    of the next request.
+    It never blocks a robot beyond the deadline of its observation: connections are made on another
+    thread. A failed request is never repeated: by then its images are old.
 
     Args:
-        url: "ws://host:port" or "wss://host:port", with a path if the server has one.
-        api_key: sent as "Authorization: Api-Key ..."; None for none.
-        ca_file: PEM of an authority that is trusted in addition to the system's; None for the
-            system's only.
+        options: of the policy.
     """
 
-    def __init__(
-        self, url: str, *, api_key: str | None = None, ca_file: Path | None = None
-    ) -> None:
-        self._url = url
-        self._headers = {"Authorization": authorization(api_key)} if api_key else {}
-        parts = urlsplit(url)
-        self._tls = (
-            trusting(ssl.create_default_context(), ca_file) if parts.scheme == "wss" else None
-        )
-        self._address = (parts.hostname or "", parts.port or (443 if parts.scheme == "wss" else 80))
-        self._connection: PolicyConnection | None = None
-        self._closed = threading.Event()
+    def __init__(self, options: PolicyOptions) -> None:
+        self._options = options
+        self._name = options.url or options.address or "on this machine"
+        self._local = LocalServer(options) if options.is_local else None
+        self._lock = threading.Lock()
+        self._session: PolicySession | None = None
+        self._connecting: threading.Thread | None = None
+        self._connected = threading.Event()
+        self._reason = ""
+        self._end = threading.Event()
+        self._silent = 0
+        self._stamps: Sequence[object] = ()
+        self._looked_s = 0.0
+        self.warning = ""
+        """What a person should know about the connection; empty for nothing."""
         self.connections = 0
         """Number of connections made."""
 
-    @property
-    def is_connected(self) -> bool:
-        """True if the connection exists and has neither failed nor been closed by the server, which
-        some do when idle.
-        """
-        return self._connection is not None and self._connection.is_open
-
-    def open(self, timeout_s: float) -> dict[object, object]:
-        """Connect, with growing pauses between attempts; returns the server's metadata.
+    def open(self) -> PolicySession:
+        """Connect to the server, and wait until its model is ready.
 
         Raises:
-            NotReadyError: no server answered within `timeout_s`.
-            ConfigurationError: the key is refused, or the other end does not speak the protocol.
+            ConfigurationError: keys, token, version, path or model differ from the server's.
+            NotReadyError: it cannot be reached, or was not ready in time.
+            RoboNeuronError: the server could not load its model.
         """
-        self._drop()
-        deadline_s = time.monotonic() + timeout_s
-        pause_s, reason, was_answered = _FIRST_PAUSE_S, "no time was left", False
-        while time.monotonic() < deadline_s:
+        begun_s = time.monotonic()
+        until_s = begun_s + min(_REACH_S, self._options.start_timeout_s)
+        reason: Exception | None = None
+        while True:
             try:
-                metadata = self._attempt(deadline_s)
-            except (OSError, ForeignDataError, InvalidURI) as error:
-                self._drop()
-                # the last attempt is cut short by the time limit, which is no reason
-                if not (was_answered and isinstance(error, TimeoutError)):
-                    reason = _reason(error)
-                    was_answered = isinstance(error, (HandshakeRefused, ForeignDataError))
-                self._check_final(error)
+                session = self._connect(until_s)
+            except (OSError, ForeignDataError, NotReadyError) as error:
+                # an attempt that the limit has cut short is no reason
+                if reason is None or not isinstance(error, TimeoutError):
+                    reason = error
+                self._check_patience(reason, time.monotonic() - begun_s)
+                self._end.wait(_LOOK_S if self._local is None else _LOCAL_LOOK_S)
+                until_s = max(until_s, time.monotonic() + _GREET_S)
             else:
-                self.connections += 1
-                return metadata
-            if self._closed.wait(min(pause_s, max(0.0, deadline_s - time.monotonic()))):
-                raise NotReadyError(f"The client of {self._url} was closed.")
-            pause_s = min(2 * pause_s, _LONGEST_PAUSE_S)
-        what = "did not admit us" if was_answered else "did not answer"
-        raise NotReadyError(
-            f"The policy server at {self._url} {what} within {timeout_s:g} s: {reason}.",
-            hint="Start it, or correct the option 'url'.",
+                with self._lock:
+                    self._session = session
+                return session
+
+    def _check_patience(self, error: Exception, waited_s: float) -> None:
+        """Raise NotReadyError if a server that is not ready has been waited for long enough; start
+        a missing one on this machine.
+        """
+        is_reached = isinstance(error, NotReadyError)
+        hint = "Is it running, and is this its address?"
+        most_s = self._options.start_timeout_s
+        if self._local is not None:
+            hint = f"Its log is {self._local.path.with_suffix('.log')}."
+            if not is_reached:
+                self._local.start()
+            elif not isinstance(error, ModelLoadingError):
+                raise error
+        elif not is_reached:
+            most_s = min(_REACH_S, most_s)
+        if waited_s > most_s:
+            raise NotReadyError(
+                f"The policy server {self._name} "
+                + ("was not ready" if is_reached else "cannot be reached")
+                + f" within {most_s:g} s: {_reason(error)}",
+                hint=hint,
+            ) from error
+
+    def describe(self, profile: RobotProfile) -> ServerDescription:
+        """Our server's description of its model for this robot; after `open`.
+
+        Raises:
+            NotReadyError: it does not answer.
+        """
+        introduced = from_profile(profile)
+        return self._asked(lambda session: session.introduce(introduced, _DESCRIBE_S), _DESCRIBE_S)
+
+    def ask(self, observation: Document, deadline_s: float) -> ActionChunk:
+        """Request the answer of our server to an encoded observation.
+
+        Raises:
+            NotReadyError: no answer by the deadline (monotonic [s]), or there is no connection; a
+                new one is being made.
+            RoboNeuronError: the server's error for this observation.
+        """
+        return self._asked(
+            lambda session: session.ask(observation, deadline_s),
+            deadline_s - time.monotonic(),
         )
 
-    def infer(self, request: Mapping[str, Value], timeout_s: float) -> Reply:
-        """Send one request and return the reply. Must be connected.
+    def exchange(self, request: Request, deadline_s: float) -> Reply:
+        """The reply of any server to a request; raises NotReadyError as `ask`."""
+        return self._asked(
+            lambda session: session.exchange(request, deadline_s),
+            deadline_s - time.monotonic(),
+            is_numbered=False,
+        )
 
-        Raises:
-            NotReadyError: the connection broke, the server reported a failure, or no reply came
-                within `timeout_s`.
-            ConfigurationError: the reply does not follow the protocol.
-        """
-        return self._decoded(self._exchange(request, timeout_s))
-
-    def reset(self, request: Mapping[str, Value], timeout_s: float) -> None:
-        """Send one request whose answer only acknowledges it, as text or as a map. Raises
-        NotReadyError as `infer` does.
-        """
-        told = self._exchange(request, timeout_s)
-        if told != _RESET_DONE:
-            self._decoded(told)
-
-    def close(self) -> None:
-        """Disconnect; may be called twice, and ends a wait in `open`."""
-        self._closed.set()
-        self._drop()
-
-    def _exchange(self, request: Mapping[str, Value], timeout_s: float) -> str | bytes:
-        """Send one message and receive one."""
-        connection, deadline_s = self._connection, time.monotonic() + timeout_s
-        if connection is None:
-            raise NotReadyError(f"There is no connection to {self._url}.")
+    def _asked(
+        self, ask: Callable[[PolicySession], Answer], left_s: float, *, is_numbered: bool = True
+    ) -> Answer:
+        self._leave_for_other_keys()
+        session = self._ready_session(left_s, is_numbered=is_numbered)
         try:
-            # openpi's answers have no number, so it would be taken for that of the request
-            if connection.has_message():
-                raise ConnectionAbortedError("the server sent an answer without a request")
-            connection.send(pack(request), deadline_s)
-            return connection.receive(deadline_s)
+            answer = ask(session)
         except TimeoutError as error:
-            self._drop()
+            self._silent += 1
+            # a late answer without a number would be taken for the next one
+            if self._silent >= _SILENT or not is_numbered:
+                self._lose("it did not answer")
             raise NotReadyError(
-                f"The policy server at {self._url} gave no answer within {timeout_s:g} s.",
-                hint="It may be overloaded or gone; raise request_timeout_s if its inference "
-                "takes longer.",
+                f"The policy server {self._name} gave no answer within {left_s:.3g} s.",
+                hint="It may be overloaded or gone; raise timeout_s if its inference takes longer.",
             ) from error
         except (OSError, ForeignDataError) as error:
-            self._drop()
+            self._lose(_reason(error))
             raise NotReadyError(
-                f"The connection to {self._url} broke: {_reason(error)}."
+                f"The connection to the policy server {self._name} is lost: {_reason(error)}.",
+                hint="It is made anew. See the server's log.",
             ) from error
+        self._silent = 0
+        return answer
 
-    def _attempt(self, deadline_s: float) -> dict[object, object]:
-        # An own socket, without proxy or redirect: only the URL decides where images go and actions
-        # come from.
-        plain = socket.create_connection(self._address, timeout=deadline_s - time.monotonic())
-        try:
-            tune(plain, _SILENT_S)
-            if self._tls is not None:
-                plain = self._tls.wrap_socket(plain, server_hostname=self._address[0])
-            connection = PolicyConnection(plain, self._url, self._headers)
-        except BaseException:
-            plain.close()
-            raise
-        self._connection = connection
-        connection.open(deadline_s)
-        try:
-            told = connection.receive(deadline_s)
-        except TimeoutError as error:
-            raise TimeoutError("it accepted the connection, but sends no metadata") from error
-        metadata = self._decoded(told)
-        if not isinstance(metadata, dict):
+    def _ready_session(self, left_s: float, *, is_numbered: bool) -> PolicySession:
+        """The connection, made anew if it is lost. Raises NotReadyError."""
+        with self._lock:
+            session = self._session
+        # others close an idle connection, which is no fault; ours does it to a replayed request
+        if session is not None and not is_numbered and not session.is_open:
             self._drop()
-            raise ConfigurationError(
-                f"{self._url} sends an array before any request; metadata are a map.",
-                hint="Check that the URL is that of a policy server.",
+            session = None
+        if session is None:
+            self._begin_connecting()
+            self._connected.wait(max(min(left_s, _FRESH_S), 0.0))
+            with self._lock:
+                session = self._session
+        if session is None:
+            raise NotReadyError(
+                f"There is no connection to the policy server {self._name}; it is being made. "
+                f"{self._reason}".rstrip()
             )
-        own = metadata.get(RESERVED)
-        if isinstance(own, dict) and own.get("state") != READY:
-            raise ConnectionError(str(own.get("message", "its model is not loaded yet")))
-        return metadata
+        return session
 
-    def _decoded(self, frame: str | bytes) -> Reply:
-        if isinstance(frame, str):
-            lines = frame.strip().splitlines() or ["no text"]
-            raise self._failure(frame, lines[-1])
-        try:
-            reply = unpack(frame)
-        except ForeignDataError as error:
-            self._drop()
-            raise ConfigurationError(
-                f"The policy server at {self._url} sent data that is not in openpi's format. "
-                f"{error.message}",
-                hint="Check that the URL is that of a policy server.",
-            ) from error
-        # SGLang tells an error by its traceback alone, vLLM-Omni by a type and a message
-        if isinstance(reply, dict) and (reply.get("type") == "error" or "error" in reply):
-            told = str(reply.get("message") or reply.get("error") or "no text")
-            raise self._failure(told, (told.strip().splitlines() or ["no text"])[-1])
-        return reply
-
-    def _failure(self, told: str, shown: str) -> NotReadyError:
-        """Disconnect, log what the server told, and return the error that shows a part of it."""
+    def _lose(self, reason: str) -> None:
+        log.warning("The policy server %s is lost: %s", self._name, reason)
         self._drop()
-        log.warning("policy server at %s failed:\n%s", self._url, told)
-        return NotReadyError(
-            f"The policy server at {self._url} reported a failure: {shown[:_SHOWN]}",
-            hint="See its log.",
-        )
+        self._begin_connecting()
 
-    def _check_final(self, error: Exception) -> None:
-        """Raise ConfigurationError for a failure that waiting cannot resolve."""
-        if isinstance(error, InvalidURI):
+    def _leave_for_other_keys(self) -> None:
+        """Disconnect if keys of `roboneuron link` have changed, because the machine may have been
+        removed.
+        """
+        now_s = time.monotonic()
+        if not has_link_keys(self._options) or now_s - self._looked_s < _KEYS_S:
+            return
+        self._looked_s = now_s
+        if link_stamps() != self._stamps:
+            self._drop()
+
+    def _begin_connecting(self) -> None:
+        if self._connecting is not None and self._connecting.is_alive():
+            return
+        self._connected.clear()
+        self._connecting = threading.Thread(
+            target=self._keep_connecting, name="connect", daemon=True
+        )
+        self._connecting.start()
+
+    def _keep_connecting(self) -> None:
+        pause_s = _FIRST_PAUSE_S
+        while not self._end.is_set():
+            try:
+                session = self._connect(time.monotonic() + _GREET_S)
+            except (OSError, RoboNeuronError) as error:
+                self._note(error)
+                if self._local is not None and isinstance(error, OSError):
+                    self._start_again(self._local)
+            else:
+                self._reason, self._silent = "", 0
+                with self._lock:
+                    is_wanted = not self._end.is_set()
+                    self._session = session if is_wanted else None
+                if not is_wanted:
+                    session.close()
+                self._connected.set()
+                return
+            self._end.wait(pause_s)
+            pause_s = min(2 * pause_s, _LAST_PAUSE_S)
+
+    def _start_again(self, server: LocalServer) -> None:
+        try:
+            server.start()
+        except ConfigurationError as error:
+            self._note(error)
+
+    def _note(self, error: Exception) -> None:
+        if str(error) != self._reason:
+            self._reason = str(error)
+            log.warning("No connection to the policy server %s: %s", self._name, error)
+
+    def _connect(self, deadline_s: float) -> PolicySession:
+        """Connect to a server that is ready, until a deadline (monotonic [s]).
+
+        Raises:
+            OSError, ForeignDataError: it cannot be reached.
+            ConfigurationError: it cannot be used.
+            NotReadyError: it is not ready.
+            RoboNeuronError: its model could not be loaded.
+        """
+        self._stamps = link_stamps() if has_link_keys(self._options) else ()
+        url, headers = "ws://localhost/", {}
+        if self._local is not None:
+            connected = self._local.connect()
+        else:
+            place = place_of(self._options)
+            self._warn(place.warning)
+            connected = self._secured(place, deadline_s)
+            headers = {"Authorization": authorization(place.token)} if place.token else {}
+            url = place.url
+        try:
+            connection = PolicyConnection(connected, url, headers)
+            begun_s = time.monotonic()
+            description = self._greet(connection, deadline_s)
+            description.check_ready()
+            self.connections += 1
+            return PolicySession(connection, description, (time.monotonic() - begun_s) / 2)
+        except InvalidURI as error:
+            connected.close()
             raise ConfigurationError(
-                f"{self._url!r} is not a websocket URL.", hint="Correct the option 'url'."
+                f"{url!r} is not a websocket URL.", hint="Correct the option 'url'."
             ) from error
-        if isinstance(error, ssl.SSLCertVerificationError):
+        except BaseException:
+            connected.close()
+            raise
+
+    def _warn(self, warning: str) -> None:
+        if warning != self.warning:
+            log.warning("%s", warning)
+        self.warning = warning
+
+    def _secured(self, place: ServerAddress, deadline_s: float) -> socket.socket:
+        # an own socket, without proxy or redirect: only the options decide where images go and
+        # actions come from
+        left_s = max(min(_CONNECT_S, deadline_s - time.monotonic()), 0.1)
+        connected = socket.create_connection((place.host, place.port), left_s)
+        try:
+            tune(connected, max(self._options.timeout_s, _LEAST_SILENT_S))
+            if place.context is None:
+                return connected
+            return place.context.wrap_socket(connected, server_hostname=place.host)
+        except ssl.SSLCertVerificationError as error:
             raise ConfigurationError(
-                f"The certificate of {self._url} is not trusted: {error.verify_message}.",
-                hint="Name the host as its certificate does, or name the authority's PEM file "
-                "with ca_file.",
+                f"The server {self._name} has sent a certificate that is not trusted: "
+                f"{error.verify_message}.",
+                hint="Name the authority's PEM file with ca_file, and the host as the certificate "
+                "does; pair a machine of `roboneuron link` again.",
             ) from error
-        if isinstance(error, HandshakeRefused) and error.status in _UNAUTHORIZED:
-            raise ConfigurationError(
-                f"The policy server at {self._url} refused the key (HTTP {error.status}).",
-                hint="Set api_key_file to a file with a valid key.",
+        except BaseException:
+            connected.close()
+            raise
+
+    def _greet(self, connection: PolicyConnection, deadline_s: float) -> ServerDescription:
+        try:
+            connection.open(deadline_s)
+        except HandshakeRefused as error:
+            raise self._refusal(error) from error
+        except TimeoutError:
+            raise
+        except (OSError, ForeignDataError) as error:
+            raise ConnectionError(
+                "it has closed the connection without an answer. Are the keys those of the server, "
+                f"and is it a policy server? ({_reason(error)})"
             ) from error
-        if isinstance(error, HandshakeRefused) and error.status in _NOT_HERE:
-            raise ConfigurationError(
-                f"{self._url} answers, but with HTTP {error.status}: there is no "
-                "policy at this address.",
-                hint="Correct the path in the option 'url', or set `engine`, which has its own.",
+        try:
+            told = receive(connection, deadline_s)
+        except TimeoutError as error:
+            raise ConnectionError(
+                "it accepted the connection, but sends no first message"
             ) from error
+        if not isinstance(told, dict):
+            raise ForeignDataError("its first message is an array, no map")
+        return ServerDescription.of(told)
+
+    def _refusal(self, error: HandshakeRefused) -> RoboNeuronError | OSError:
+        told = f"The policy server {self._name} refuses: {error}."
+        if error.status in _UNAUTHORIZED:
+            return ConfigurationError(
+                f"The policy server {self._name} refused the key (HTTP {error.status}).",
+                hint="Set token_file to a file with the key or token of the server.",
+            )
+        if error.status in _NOT_HERE:
+            return ConfigurationError(
+                f"{told} There is no policy at this address.",
+                hint="Correct `model` or the path of the url, or set `engine`, which has its own.",
+            )
+        return NotReadyError(told)
 
     def _drop(self) -> None:
-        connection, self._connection = self._connection, None
-        if connection is not None:
-            connection.close()
+        with self._lock:
+            session, self._session = self._session, None
+        if session is not None:
+            session.close()
+
+    def close(self) -> None:
+        """Disconnect; idempotent."""
+        self._end.set()
+        self._drop()
+        if self._connecting is not None:
+            self._connecting.join(_CONNECT_S + _GREET_S)
 
 
 def _reason(error: Exception) -> str:
-    return str(error) or type(error).__name__
+    return str(error).rstrip(".") or type(error).__name__

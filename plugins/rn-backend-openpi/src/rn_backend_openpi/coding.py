@@ -10,27 +10,15 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from types import MappingProxyType
 
 import numpy as np
 
-from rn_backend_openpi.images import (
-    CODINGS,
-    CROPPED,
-    Coding,
-    Rectangle,
-    Size,
-    crop,
-    encode_image,
-    fit,
-    image_bytes,
-)
-from rn_backend_openpi.messages import RESERVED, Document, from_observation, image_key
-from rn_backend_openpi.shared_options import SharedOptions
+from rn_backend_openpi.images import CODINGS, Coding, Size, encode_image, fit, image_bytes
+from rn_backend_openpi.messages import Document, from_observation, image_key
+from rn_backend_openpi.options import PolicyOptions
 from roboneuron import (
     ActionChunk,
     ConfigurationError,
-    Frame,
     NotReadyError,
     Observation,
     RoboNeuronError,
@@ -49,7 +37,6 @@ _PROBE = 100
 that: old measurements may no longer hold.
 """
 _LINK = "shared.link_ms"
-_NONE: Mapping[str, Rectangle] = MappingProxyType({})
 
 
 class LinkMeter:
@@ -147,43 +134,24 @@ class LinkMeter:
 
 
 class Coder:
-    """Sends images to a server, shrunk and coded according to the options.
+    """Sends images to our server, shrunk and coded according to the options; to one on this machine
+    as they are.
 
     Args:
-        options: options of the backend.
+        options: of the policy.
         sizes: sizes to which the model shrinks images, by role or by name of the camera.
         base_s: a round trip of almost no data [s].
-        crops: the part of a whole image that the server uses, by role.
-
-    Raises:
-        ConfigurationError: the options crop differently from the server.
     """
 
-    def __init__(
-        self,
-        options: SharedOptions,
-        sizes: Mapping[str, Size],
-        base_s: float,
-        *,
-        crops: Mapping[str, Rectangle] = _NONE,
-    ) -> None:
+    def __init__(self, options: PolicyOptions, sizes: Mapping[str, Size], base_s: float) -> None:
         self._options = options
-        for role in options.crop.keys() & crops.keys():
-            if options.crop[role] != crops[role]:
-                raise ConfigurationError(
-                    f"The server crops images of {role!r} to {list(crops[role])}, `crop` of "
-                    f"[plugins.shared] says {list(options.crop[role])}.",
-                    hint="Leave it out: a robot uses the server's crop.",
-                )
-        self._told_crops = dict(crops)
-        self._crops = {**options.crop, **crops}
-        self._sizes = dict(sizes)
+        self._is_auto = options.coding == "auto" and not options.is_local
+        self._sizes = {} if options.is_local else dict(sizes)
         self._meter = LinkMeter(options.link_share)
         self._meter.note_base(base_s)
-        self._allowed: tuple[Coding, ...] = (
-            CODINGS if options.coding == "auto" else (options.coding,)
-        )
-        self._meter.current = self._allowed[0]
+        fixed: Coding = "raw" if options.is_local or options.coding == "auto" else options.coding
+        self._allowed: tuple[Coding, ...] = CODINGS if self._is_auto else (fixed,)
+        self._meter.current = fixed
         self._parity: dict[str, float] | None = None
         self._count = 0
 
@@ -193,8 +161,8 @@ class Coder:
         return self._meter.current
 
     def ask(self, observation: Observation, ask: Ask, deadline_s: float) -> ActionChunk:
-        """Request the answer to an observation. The first observation is also sent with unchanged
-        images if coding or size may affect the answer.
+        """Request the answer to an observation. The first one is also sent with unchanged images if
+        coding may affect the answer.
 
         Raises:
             ConfigurationError: the change of actions exceeds the options' limit, or the model keeps
@@ -203,17 +171,16 @@ class Coder:
         """
         fitted = self._fitted(observation)
         if self._parity is None:
-            self._parity = self._check(observation, fitted, ask)
+            self._parity = self._check(fitted, ask)
             deadline_s = time.monotonic() + self._options.timeout_s
-        coding = self._next()
-        chunk = self._timed(fitted, coding, ask, deadline_s, is_fitted=True)
-        if self._options.coding == "auto":
+        chunk = self._timed(fitted, self._next(), ask, deadline_s)
+        if self._is_auto:
             self._choose(chunk)
         return chunk
 
     def _next(self) -> Coding:
         self._count += 1
-        if self._options.coding == "auto" and self._count % _PROBE == 0:
+        if self._is_auto and self._count % _PROBE == 0:
             return self._meter.probe(self._allowed, self._options.timeout_s / 4)
         return self.coding
 
@@ -224,33 +191,14 @@ class Coder:
             log.info("Images are sent as %s from now on, before as %s.", now, before)
 
     def _fitted(self, observation: Observation) -> Observation:
-        own = self._options.image_size
         frames = {}
         for role, frame in observation.frames.items():
-            size = self._declared(role, frame) or own
-            if role in self._crops:
-                frame = crop(frame, self._crops[role])
+            size = self._sizes.get(role, self._sizes.get(frame.camera))
             frames[role] = frame if size is None else fit(frame, size)
         return replace(observation, frames=frames)
 
-    def _declared(self, role: str, frame: Frame) -> Size | None:
-        return self._sizes.get(role, self._sizes.get(frame.camera))
-
-    def _is_own(self, role: str, frame: Frame) -> bool:
-        """True if this robot's configuration changes the image beyond the server's instructions."""
-        crops = role in self._crops and role not in self._told_crops
-        return crops or (
-            self._options.image_size is not None and self._declared(role, frame) is None
-        )
-
     def _timed(
-        self,
-        observation: Observation,
-        coding: Coding,
-        ask: Ask,
-        deadline_s: float,
-        *,
-        is_fitted: bool,
+        self, observation: Observation, coding: Coding, ask: Ask, deadline_s: float
     ) -> ActionChunk:
         begun_s = time.monotonic()
         document, size = from_observation(observation), 0
@@ -258,8 +206,6 @@ class Coder:
             coded = encode_image(frame.image, coding, self._options.quality)
             document[image_key(role)] = coded
             size += image_bytes(coded)
-            if is_fitted and role in self._crops:
-                document[RESERVED]["frames"][role][CROPPED] = True
         coding_s = time.monotonic() - begun_s
         chunk = ask(document, deadline_s)
         self._meter.note(coding, size, coding_s, chunk.metrics[_LINK] / 1e3)
@@ -271,36 +217,24 @@ class Coder:
         }
         return replace(chunk, metrics={**chunk.metrics, **own})
 
-    def _check(self, whole: Observation, fitted: Observation, ask: Ask) -> dict[str, float]:
-        """Change of actions by coding and shrinking, beyond their variation without it."""
+    def _check(self, observation: Observation, ask: Ask) -> dict[str, float]:
+        """Change of actions by JPEG, beyond their variation without it."""
         options = self._options
-        changes = any(
-            self._is_own(role, frame) and frame.image.shape != fitted.frames[role].image.shape
-            for role, frame in whole.frames.items()
-        )
-        loses = "jpeg" in self._allowed
-        if not loses and not changes:
+        if "jpeg" not in self._allowed:
             return {}
 
-        def asked(observation: Observation, coding: Coding) -> ActionChunk:
-            return self._timed(
-                observation,
-                coding,
-                ask,
-                time.monotonic() + PARITY_S,
-                is_fitted=observation is fitted,
-            )
+        def asked(coding: Coding) -> ActionChunk:
+            return self._timed(observation, coding, ask, time.monotonic() + PARITY_S)
 
-        first = asked(whole if changes else fitted, "png")
+        first = asked("png")
         try:
             # twice, to exclude the model's own random variation
-            as_is = [first, asked(whole if changes else fitted, "png")]
-            coded = asked(fitted, "jpeg" if loses else "png")
+            as_is, coded = [first, asked("png")], asked("jpeg")
         except NotReadyError:
             raise
         except RoboNeuronError as error:
             raise _remembers(error) from error
-        self._meter.assume("raw", sum(frame.image.nbytes for frame in fitted.frames.values()))
+        self._meter.assume("raw", sum(frame.image.nbytes for frame in observation.frames.values()))
         itself, moved = distances(*as_is), distances(as_is[0], coded)
         beyond = {unit: max(moved[unit] - itself[unit], 0.0) for unit in moved}
         log.info(
@@ -310,18 +244,17 @@ class Coder:
         )
         limits = {"m": options.parity_m, "rad": options.parity_rad}
         excess = [unit for unit in limits if beyond[unit] > limits[unit]]
-        if excess and (changes or options.coding == "jpeg"):
+        if excess and options.coding == "jpeg":
             unit = excess[0]
             raise ConfigurationError(
                 f"Actions change by {beyond[unit]:.3g} {unit} when images are coded as configured; "
                 f"parity_{unit} = {limits[unit]:g} are allowed.",
-                hint="Raise quality or image_size, look at crop, use coding = 'png', or allow "
-                "more.",
+                hint="Raise quality, use coding = 'png', or allow more.",
             )
         if excess:
             log.warning("JPEG is not used: it changes actions by more than is allowed.")
             self._allowed = CODINGS[:2]
-        if options.coding == "auto":
+        if self._is_auto:
             self._meter.settle(coded.step_s, self._allowed)
             log.info("Images are sent as %s.", self.coding)
         return {f"shared.parity_{unit}": beyond[unit] for unit in limits}
@@ -332,7 +265,7 @@ def _remembers(error: RoboNeuronError) -> ConfigurationError:
         "The model answered an observation and refused the same one when it was repeated to "
         f"measure the effect of coded images: it keeps a history of observations. Error: {error}",
         hint="Such a model must not be served with stateless = true: it mixes robots up. For one "
-        "robot alone set coding = 'raw' or 'png' in [plugins.shared], which repeats no request.",
+        "robot alone set coding = 'raw' or 'png', which repeats no request.",
     )
 
 

@@ -6,16 +6,18 @@ from __future__ import annotations
 
 import logging
 from argparse import ArgumentParser, Namespace
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from roboneuron import BackendSpec, ConfigurationError, RuntimeSpec
+from roboneuron import BackendSpec, ConfigurationError
 
 if TYPE_CHECKING:
-    from rn_backend_openpi.options import OpenpiOptions
-    from rn_backend_openpi.shared_options import PolicyServerOptions
+    from rn_backend_openpi.server_options import PolicyServerOptions
     from roboneuron.command import Config, Registry
 
+_OF_THE_MODEL = ("waiting", "most", "linger_s", "stateless")
+_NEW_NAMES = {"certificate_key": "key", "clients": "robots"}
 log = logging.getLogger(__name__)
 
 
@@ -42,57 +44,51 @@ class OpenpiServerCommand:
 
     def run(self, arguments: Namespace) -> int:
         """Serve."""
-        from rn_backend_openpi.options import OpenpiOptions
         from rn_backend_openpi.plugin import BACKEND
         from rn_backend_openpi.serve_command import name_of, run_server
-        from roboneuron.command import discover, load_config, loading
+        from roboneuron.command import discover, load_config
 
         log.warning("openpi-server is old: serve-policy serves a model with an `interface` alike.")
         registry = discover()
         config = load_config(arguments.config, registry)
         tables = dict(config.options(BACKEND.name))
         chosen = {"host": arguments.host, "port": arguments.port}
-        given = {name: value for name, value in chosen.items() if value is not None}
-        if given:
-            own = tables.get("server", {})
-            tables["server"] = {**own, **given} if isinstance(own, dict) else own
-        options = loading.load_options(BACKEND, tables)
-        assert isinstance(options, OpenpiOptions)
-        served, summary = served_options(config, registry, options)
+        server = {name: value for name, value in chosen.items() if value is not None}
+        served = served_options(config, registry, tables, server)
         scheme = "ws" if served.listen.certificate is None else "wss"
+        (name,) = served.models
 
         def tell(port: int) -> None:
-            where = f"{scheme}://{served.listen.host}:{port}"
-            print(f"Policy server: {where} ({summary})", flush=True)
+            print(
+                f"Policy server: {scheme}://{served.listen.host}:{port} (backend {name})",
+                flush=True,
+            )
 
         return run_server(served, name_of(arguments.config or Path("roboneuron.toml")), tell)
 
 
 def served_options(
-    config: Config, registry: Registry, options: OpenpiOptions
-) -> tuple[PolicyServerOptions, str]:
-    """The options of a server of the backend that a configuration names; and a summary of what it
-    serves: backend, profile and control space.
+    config: Config,
+    registry: Registry,
+    tables: Mapping[str, object],
+    chosen: Mapping[str, object],
+) -> PolicyServerOptions:
+    """The options of a server of the backend that a configuration names.
 
     Args:
         config: its [robot], [inference] and options of plugins are read.
         registry: installed plugins.
-        options: those of [plugins.openpi].
+        tables: [plugins.openpi]: the interface, and `server`.
+        chosen: options of `server` that come first.
 
     Raises:
-        ConfigurationError: no backend is named, or it does not match the profile; names both sides.
+        ConfigurationError: no backend is named, or an option is wrong.
     """
-    from rn_backend_openpi.interface import served_layout
+    from rn_backend_openpi.interface_options import InterfaceOptions
     from rn_backend_openpi.plugin import BACKEND
-    from rn_backend_openpi.shared_options import (
-        ListenOptions,
-        PolicyServerOptions,
-        ServedModelOptions,
-    )
-    from rn_backend_openpi.shared_space import space_of
-    from roboneuron.command import load_profile
+    from rn_backend_openpi.serve_command import options_of
 
-    inference, server = config.inference, options.server
+    inference = config.inference
     if inference is None:
         raise ConfigurationError(
             "The configuration has no [inference]: there is nothing to serve.",
@@ -104,36 +100,26 @@ def served_options(
             hint="Name the backend that holds the model in [inference].",
         )
     spec = registry.get(BackendSpec, inference.backend)
-    runtime = inference.runtime or spec.default_runtime or None
-    if runtime is not None:
-        registry.get(RuntimeSpec, runtime)
-    robot = config.robot.name
-    model = ServedModelOptions(
-        backend=spec.name,
-        checkpoint=inference.checkpoint,
-        options=dict(config.options(spec.name)),
-        runtime=runtime,
-        runtime_options=dict(config.options(runtime or "")),
-        acceleration=inference.acceleration,
-        acceleration_options=dict(config.options(inference.acceleration or "")),
-        stateless=server.stateless,
-        most=server.most,
-        waiting=server.waiting,
-        linger_s=server.linger_s,
-        interface=options.interface().model_copy(update={"robot": robot}),
-    )
-    assert model.interface is not None
-    space = space_of(spec, model, load_profile(registry, robot))
-    layout = served_layout(model.interface, spec, space)
-    summary = f"backend {spec.name}, profile {layout.name}, {layout.rows.space.kind}"
-    listen = ListenOptions(
-        host=server.host or "127.0.0.1",
-        port=server.port,
-        keys="none" if server.token_file is None else "token",
-        token_file=server.token_file,
-        certificate=server.certificate,
-        key=server.certificate_key,
-        insecure=server.insecure,
-        robots=server.clients,
-    )
-    return PolicyServerOptions(listen=listen, models={spec.name: model}), summary
+    own = tables.get("server", {})
+    server = {**(own if isinstance(own, dict) else {}), **chosen}
+    of_the_model = {name: server.pop(name) for name in _OF_THE_MODEL if name in server}
+    of_interface = InterfaceOptions.model_fields.keys() & tables.keys()
+    model = {
+        "backend": spec.name,
+        "checkpoint": inference.checkpoint,
+        "options": dict(config.options(spec.name)),
+        "runtime": inference.runtime,
+        "runtime_options": dict(config.options(inference.runtime or spec.default_runtime or "")),
+        "acceleration": inference.acceleration,
+        "acceleration_options": dict(config.options(inference.acceleration or "")),
+        "interface": {name: tables[name] for name in of_interface} | {"robot": config.robot.name},
+        **of_the_model,
+    }
+    listen = {
+        "port": 8000,
+        "robots": 16,
+        "keys": "none" if server.get("token_file") is None else "token",
+        **{_NEW_NAMES.get(name, name): value for name, value in server.items()},
+    }
+    given: dict[str, object] = {"listen": listen, "models": {spec.name: model}}
+    return options_of(given, "plugins.openpi.server")

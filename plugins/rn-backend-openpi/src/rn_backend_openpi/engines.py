@@ -15,7 +15,7 @@ from urllib.parse import urlsplit
 
 from rn_backend_openpi.conventions import NetworkUnits
 from rn_backend_openpi.layout import Layout
-from rn_backend_openpi.options import NormalisationOptions, OpenpiOptions
+from rn_backend_openpi.options import NormalisationOptions, PolicyOptions
 from rn_vla.normalisation import Scaling, read_openpi_scalings
 from roboneuron import ConfigurationError
 
@@ -50,14 +50,20 @@ _LIBERO = MappingProxyType({"primary": "image", "wrist": "image2"})
 """Cameras of LeRobot's checkpoints for LIBERO."""
 
 
-def url_of(options: OpenpiOptions) -> str:
-    """The URL, with the path of the engine if it has none."""
+def url_of(options: PolicyOptions) -> str:
+    """The URL of a server elsewhere: with the path of the engine if it has none, or with the model
+    at an address.
+    """
+    if options.address is not None:
+        scheme = "ws" if options.ca_file is None else "wss"
+        return f"{scheme}://{options.address}/{options.model or ''}"
+    assert options.url is not None
     if options.engine is None or urlsplit(options.url).path.strip("/"):
         return options.url
     return options.url.rstrip("/") + ENGINES[options.engine].path
 
 
-def for_engine(layout: Layout, options: OpenpiOptions) -> Layout:
+def for_engine(layout: Layout, options: PolicyOptions) -> Layout:
     """The layout with the engine's names and the conversion to its units; unchanged without an
     engine, and for DreamZero, which takes RoboArena's own.
 

@@ -23,12 +23,12 @@ from websockets.asyncio.server import Server, ServerConnection
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request
 
+from rn_backend_openpi.description import READY
 from rn_backend_openpi.listener import Listener
 from rn_backend_openpi.messages import Document
 from rn_backend_openpi.processes import ModelProcess
 from rn_backend_openpi.security import Guard, valid_until
-from rn_backend_openpi.session import READY
-from rn_backend_openpi.shared_options import PolicyServerOptions, ServedModelOptions
+from rn_backend_openpi.server_options import PolicyServerOptions, ServedModelOptions
 from rn_backend_openpi.statistics import Times
 from rn_backend_openpi.status_page import STATUS, page
 from roboneuron import ConfigurationError, ForeignDataError

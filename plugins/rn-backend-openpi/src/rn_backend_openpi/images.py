@@ -1,4 +1,4 @@
-"""Images for transmission: cropped and shrunk to the model's input, and coded."""
+"""Images for transmission: shrunk to the model's input, and coded."""
 
 from __future__ import annotations
 
@@ -9,12 +9,13 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from rn_backend_openpi.fields import array, field, integer
+from rn_backend_openpi.wire import array
 from roboneuron import (
     MAX_SIDE_PX,
     ForeignDataError,
     Frame,
     InvalidInputError,
+    foreign,
     frame_from_compressed,
 )
 
@@ -23,34 +24,8 @@ CODINGS: tuple[Coding, ...] = ("raw", "png", "jpeg")
 """Codings, from the largest data to the smallest; the last one is lossy."""
 Size = tuple[int, int]
 """Width and height [px]."""
-Rectangle = tuple[int, int, int, int]
-"""Left, top, width and height [px]."""
-CROPPED = "cropped"
-"""Entry of a sent frame: True if the robot has cropped it."""
 _PNG_LEVEL = 1
 """Higher levels take several times as long to save a few per cent."""
-
-
-def crop(frame: Frame, rectangle: Rectangle) -> Frame:
-    """Crop the frame to a rectangle, and adapt its calibration.
-
-    Raises:
-        InvalidInputError: the rectangle exceeds the image.
-    """
-    left, top, width, height = rectangle
-    all_height, all_width = frame.image.shape[:2]
-    if left + width > all_width or top + height > all_height:
-        raise InvalidInputError(
-            f"The image of camera {frame.camera!r} is {all_width} x {all_height}, `crop` takes "
-            f"{width} x {height} at {left}, {top} of it."
-        )
-    known = frame.calibration
-    if known is not None:
-        moved = known.intrinsics.copy()
-        moved[:2, 2] -= (left, top)
-        known = replace(known, intrinsics=moved)
-    image = np.ascontiguousarray(frame.image[top : top + height, left : left + width])
-    return replace(frame, image=image, calibration=known)
 
 
 def fit(frame: Frame, size: Size) -> Frame:
@@ -104,11 +79,12 @@ def decode_image(value: object) -> NDArray[np.uint8]:
     if isinstance(value, np.ndarray):
         raw: NDArray[np.uint8] = array(value, "an image", "|u1", (None, None, 3))
         return raw
-    coding = field(value, "coding")
+    coding = foreign.field(value, "coding")
     height, width = (
-        integer(field(value, name), name, 1, MAX_SIDE_PX) for name in ("height", "width")
+        foreign.integer(foreign.field(value, name), name, 1, MAX_SIDE_PX)
+        for name in ("height", "width")
     )
-    data = array(field(value, "data"), "data of an image", "|u1", (None,))
+    data = array(foreign.field(value, "data"), "data of an image", "|u1", (None,))
     if coding not in ("png", "jpeg"):
         raise ForeignDataError("the coding of an image is unknown")
     try:

@@ -7,66 +7,45 @@ from types import MappingProxyType
 
 import numpy as np
 
+from rn_backend_openpi.interface_options import InterfaceOptions, JointAction, PoseAction
 from rn_backend_openpi.layout import Layout, Size
-from rn_backend_openpi.options import (
-    OWN,
-    PLAIN,
-    DeltaAction,
-    InterfaceOptions,
-    JointAction,
-    PoseAction,
-)
-from rn_backend_openpi.profiles import PRESETS, JointMeaning, Keys
+from rn_backend_openpi.profiles import PRESETS, Keys
 from rn_backend_openpi.rows import (
     ONE_ARM,
     DeltaRows,
     JointRows,
-    PlainRows,
     PoseRows,
     Rows,
-    joint_channels,
     joints_by_arm,
-    pose_channels,
 )
-from rn_backend_openpi.state import StateCodec, TermState
-from rn_backend_openpi.whole_state import WholeState
+from rn_backend_openpi.state import TermState
 from rn_vla.tcp_actions import ActionLayout
 from rn_vla.tcp_profiles import PROFILES
 from rn_vla.tcp_state import StateLayout
-from roboneuron import EE_DELTA, BackendSpec, ConfigurationError, ControlSpace
+from roboneuron import BackendSpec, ConfigurationError, ControlSpace
 
-_PLAIN_IMAGES = MappingProxyType(
+_OWN_IMAGES = MappingProxyType(
     {
         "primary": "observation/image",
         "wrist": "observation/wrist_image",
         "right_wrist": "observation/right_wrist_image",
     }
 )
+"""Of the profile 'own' without `image_keys`."""
 
 
-def layout_of(options: InterfaceOptions, space: ControlSpace | None = None) -> Layout:
-    """The interface that these options describe.
-
-    Args:
-        options: those of the client or the server.
-        space: control space of the profile 'roboneuron'; None if only the options define it.
+def layout_of(options: InterfaceOptions) -> Layout:
+    """The interface that these options describe; they name a profile.
 
     Raises:
-        ConfigurationError: no profile is set, or `joints` is missing, does not fit, or is unused.
+        ConfigurationError: `joints` is missing, does not fit, or is unused.
     """
-    if options.profile is None:
-        raise ConfigurationError(
-            "The option 'profile' of 'openpi' is not set; choose one of "
-            f"{', '.join((*PRESETS, PLAIN, OWN))}.",
-            hint="The profile defines the served policy's inputs and its actions' meaning; it "
-            "is never guessed.",
-        )
+    assert options.profile is not None
     preset = PRESETS.get(options.profile)
-    images = _PLAIN_IMAGES if preset is None else preset.images
+    images = _OWN_IMAGES if preset is None else preset.images
     size: Size | None = None if preset is None else preset.size_px
     if options.image_size_px is not None:
         size = None if options.image_size_px == "raw" else options.image_size_px
-    rows = _plain(space) if space and options.profile == PLAIN else _rows(options)
     optional = frozenset(images) - {"primary"} if preset is None else preset.optional
     return Layout(
         name=options.profile,
@@ -77,13 +56,12 @@ def layout_of(options: InterfaceOptions, space: ControlSpace | None = None) -> L
         flip=options.image_flip,
         prompt_key=options.prompt_key,
         state=_state(options),
-        rows=rows,
+        rows=_rows(options),
     )
 
 
 def served_layout(options: InterfaceOptions, spec: BackendSpec, space: ControlSpace) -> Layout:
-    """The interface in which a server offers a backend, with the cameras that the backend reads;
-    without a profile that of the profile 'roboneuron', which fits every backend.
+    """The interface in which a server offers a backend, with the cameras that the backend reads.
 
     Args:
         options: those of the server.
@@ -94,10 +72,7 @@ def served_layout(options: InterfaceOptions, spec: BackendSpec, space: ControlSp
         ConfigurationError: a camera has no key, or the profile's control space differs from the
             backend's.
     """
-    if options.profile is None:
-        options = options.model_copy(update={"profile": PLAIN})
-    is_told = options.model_fields_set & {"space", "rate_hz", "joints", "arms"}
-    layout = layout_of(options, None if is_told else space)
+    layout = layout_of(options)
     lacking = [role for role in spec.cameras if role not in layout.image_keys]
     if lacking:
         raise ConfigurationError(
@@ -111,7 +86,7 @@ def served_layout(options: InterfaceOptions, spec: BackendSpec, space: ControlSp
         raise ConfigurationError(
             f"The backend {spec.name!r} answers in {space.label!r}, profile {layout.name!r} is for "
             f"{rows.label!r}.",
-            hint="Choose another profile; 'roboneuron' fits every backend.",
+            hint="Choose another profile, or none: RoboNeuron's robots need none.",
         )
     roles = (*spec.cameras, *spec.optional_cameras)
     keys = {role: key for role, key in layout.image_keys.items() if role in roles}
@@ -132,14 +107,13 @@ def _joints(options: InterfaceOptions) -> tuple[str, ...]:
             f"Profile {options.profile!r} needs the option 'joints': the robot's joints in the "
             "policy's order."
         )
+    joints_by_arm(options.joints, _arms(options))
     return options.joints
 
 
 def _rows(options: InterfaceOptions) -> Rows:
     base = np.array(options.base_position_m)
     preset = PRESETS.get(options.profile or "")
-    if options.profile == PLAIN:
-        return _plain(_plain_space(options))
     if preset is not None and preset.rows is not None:
         names = _joints(options)
         wanted = preset.joints * len(_arms(options))
@@ -149,11 +123,10 @@ def _rows(options: InterfaceOptions) -> Rows:
                 f"{wanted}.",
                 hint="Name them in the policy's order, from the base to the tip of each arm.",
             )
-        return _joint_rows(preset.rows, names)
+        return replace(preset.rows, names=names)
     action = options.action
     if isinstance(action, JointAction):
-        meaning = JointMeaning(**action.model_dump(), arms=_arms(options))
-        return _joint_rows(meaning, _joints(options))
+        return JointRows(**action.model_dump(), arms=_arms(options), names=_joints(options))
     if isinstance(action, PoseAction):
         _refuse_joints(options)
         return PoseRows(
@@ -164,17 +137,16 @@ def _rows(options: InterfaceOptions) -> Rows:
             base_position_m=base,
         )
     _refuse_joints(options)
-    layout = PROFILES[options.profile or ""].action if action is None else _delta(action)
+    if action is None:
+        layout = PROFILES[options.profile or ""].action
+    else:
+        layout = ActionLayout(**action.model_dump(exclude={"kind"}))
     if layout.adds_state:
         raise ConfigurationError(
             "adds_state has no effect: a policy server adds the state itself.",
             hint="Leave it out.",
         )
     return DeltaRows(layout=layout, base_position_m=base)
-
-
-def _plain(space: ControlSpace) -> PlainRows:
-    return PlainRows(space=space, step_s=1.0 / space.rate_hz if space.rate_hz else 0.0)
 
 
 def _refuse_joints(options: InterfaceOptions) -> None:
@@ -187,25 +159,7 @@ def _refuse_joints(options: InterfaceOptions) -> None:
         )
 
 
-def _plain_space(options: InterfaceOptions) -> ControlSpace:
-    if options.space == "ee_delta":
-        return EE_DELTA
-    if options.space == "ee_pose":
-        channels = pose_channels(_arms(options), has_gripper=options.grippers)
-    else:
-        channels = joint_channels(
-            options.space,
-            _joints(options),
-            _arms(options),
-            has_gripper=options.grippers,
-            slides=options.slides,
-        )
-    return ControlSpace(kind=options.space, channels=channels, rate_hz=options.rate_hz)
-
-
-def _state(options: InterfaceOptions) -> StateCodec:
-    if options.profile == PLAIN:
-        return WholeState()
+def _state(options: InterfaceOptions) -> TermState:
     preset = PRESETS.get(options.profile or "")
     tcp = PROFILES.get(options.profile or "") if preset is None or preset.rows is None else None
     keys: Keys = options.state_keys or (MappingProxyType({}) if preset is None else preset.state)
@@ -229,19 +183,3 @@ def _state(options: InterfaceOptions) -> StateCodec:
             for key, terms in keys.items()
         }
     )
-
-
-def _joint_rows(meaning: JointMeaning, names: tuple[str, ...]) -> JointRows:
-    return JointRows(
-        kind=meaning.kind,
-        names=names,
-        gripper=meaning.gripper,
-        rate_hz=meaning.rate_hz,
-        arms=meaning.arms,
-        limit=meaning.limit,
-        scale=meaning.scale,
-    )
-
-
-def _delta(action: DeltaAction) -> ActionLayout:
-    return ActionLayout(**action.model_dump(exclude={"kind"}))

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from xml.sax.saxutils import quoteattr
 
-from rn_backend_openpi.fields import field, integer, items, number, text
 from rn_backend_openpi.messages import Document
 from roboneuron import (
     MAX_SIDE_PX,
@@ -14,6 +13,7 @@ from roboneuron import (
     CameraProfile,
     GripperProfile,
     RobotProfile,
+    foreign,
     robot_space,
 )
 
@@ -58,34 +58,34 @@ def to_profile(document: object) -> RobotProfile:
         ForeignDataError: a field is missing, or has another type or range than expected.
         RoboNeuronError: as `RobotProfile`.
     """
-    slides = _names(field(document, "slides"), "joints that slide")
+    slides = _names(foreign.field(document, "slides"), "joints that slide")
     # a profile names its prismatic joints in its URDF
     joints = "".join(f'<joint name={quoteattr(name)} type="prismatic"/>' for name in slides)
-    arms = items(field(document, "arms"), "arms", most=_MOST_ARMS)
-    cameras = items(field(document, "cameras"), "cameras", most=_MOST_CAMERAS)
+    arms = foreign.items(foreign.field(document, "arms"), "arms", most=_MOST_ARMS)
+    cameras = foreign.items(foreign.field(document, "cameras"), "cameras", most=_MOST_CAMERAS)
     return RobotProfile(
-        name=text(field(document, "name"), "the name of a robot"),
+        name=foreign.text(foreign.field(document, "name"), "the name of a robot"),
         urdf=f'<robot name="told">{joints}</robot>',
-        base_link=text(field(document, "base_link"), "a link"),
-        tcp_link=text(field(document, "tcp_link"), "a link"),
-        arm_joints=_names(field(document, "arm_joints"), "joints"),
-        gripper=_to_gripper(field(document, "gripper")),
+        base_link=foreign.text(foreign.field(document, "base_link"), "a link"),
+        tcp_link=foreign.text(foreign.field(document, "tcp_link"), "a link"),
+        arm_joints=_names(foreign.field(document, "arm_joints"), "joints"),
+        gripper=_to_gripper(foreign.field(document, "gripper")),
         arms=tuple(_to_arm(arm) for arm in arms),
         cameras=tuple(_to_camera(camera) for camera in cameras),
     )
 
 
 def _names(value: object, what: str) -> tuple[str, ...]:
-    return tuple(text(name, what) for name in items(value, what, most=_MOST_JOINTS))
+    return tuple(foreign.text(name, what) for name in foreign.items(value, what, most=_MOST_JOINTS))
 
 
 def _to_arm(value: object) -> ArmProfile:
-    name, joints, base_link, tcp_link, gripper = items(value, "an arm", most=5, least=5)
+    name, joints, base_link, tcp_link, gripper = foreign.items(value, "an arm", most=5, least=5)
     return ArmProfile(
-        name=text(name, "an arm", 64),
+        name=foreign.text(name, "an arm", 64),
         joints=_names(joints, "joints"),
-        base_link=text(base_link, "a link"),
-        tcp_link=text(tcp_link, "a link"),
+        base_link=foreign.text(base_link, "a link"),
+        tcp_link=foreign.text(tcp_link, "a link"),
         gripper=_to_gripper(gripper),
     )
 
@@ -93,20 +93,20 @@ def _to_arm(value: object) -> ArmProfile:
 def _to_gripper(value: object) -> GripperProfile | None:
     if value is None:
         return None
-    joint, closed, opened = items(value, "a gripper", most=3, least=3)
+    joint, closed, opened = foreign.items(value, "a gripper", most=3, least=3)
     return GripperProfile(
-        joint=text(joint, "a joint"),
-        closed_position=number(closed, "a position"),
-        open_position=number(opened, "a position"),
+        joint=foreign.text(joint, "a joint"),
+        closed_position=foreign.number(closed, "a position"),
+        open_position=foreign.number(opened, "a position"),
     )
 
 
 def _to_camera(value: object) -> CameraProfile:
-    name, role, width, height = items(value, "a camera", most=4, least=4)
+    name, role, width, height = foreign.items(value, "a camera", most=4, least=4)
     return CameraProfile(
-        name=text(name, "a camera"),
-        role=text(role, "a role", 64),
+        name=foreign.text(name, "a camera"),
+        role=foreign.text(role, "a role", 64),
         frame_id="",
-        width=integer(width, "a width", 1, MAX_SIDE_PX),
-        height=integer(height, "a height", 1, MAX_SIDE_PX),
+        width=foreign.integer(width, "a width", 1, MAX_SIDE_PX),
+        height=foreign.integer(height, "a height", 1, MAX_SIDE_PX),
     )

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from rn_backend_openpi.conventions import NetworkUnits
 from rn_backend_openpi.rows import Rows
-from rn_backend_openpi.state import StateCodec
+from rn_backend_openpi.state import TermState
 from rn_backend_openpi.wire import Value
 from rn_vla.letterbox import Flip, fit_antialiased, flip_image
 from rn_vla.rotation import F64
@@ -59,7 +59,7 @@ class Layout:
     axes: Axes
     flip: Flip
     prompt_key: str
-    state: StateCodec
+    state: TermState
     rows: Rows
     network: NetworkUnits | None = None
 

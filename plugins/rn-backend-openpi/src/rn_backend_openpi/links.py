@@ -9,7 +9,7 @@ import sys
 import time
 from pathlib import Path
 
-from rn_backend_openpi.shared_options import SharedOptions
+from rn_backend_openpi.options import PolicyOptions
 from roboneuron import ConfigurationError
 
 _HELLO_S = 0.5
@@ -18,7 +18,7 @@ _AGAIN_S = 2.0
 """Shortest time between two starts of the same server."""
 
 
-def directory_of(options: SharedOptions) -> Path:
+def directory_of(options: PolicyOptions) -> Path:
     """Folder of sockets and logs. Raises as `private_directory`."""
     return private_directory(options.directory)
 
@@ -60,7 +60,7 @@ class LocalServer:
         path: path of the socket; the log is next to it.
     """
 
-    def __init__(self, options: SharedOptions) -> None:
+    def __init__(self, options: PolicyOptions) -> None:
         self._options = options
         self.path = directory_of(options) / f"{options.identity()}.sock"
         self._started_s = -_AGAIN_S
@@ -87,8 +87,11 @@ class LocalServer:
         python = str(self._options.python or sys.executable)
         try:
             subprocess.run(
-                [python, "-P", "-m", "rn_backend_openpi.server_process", str(self.path)],
-                input=self._options.model_dump_json(exclude_unset=True) + "\n",
+                [
+                    *(python, "-P", "-m", "rn_backend_openpi.server_process"),
+                    *(str(self._options.idle_s), str(self.path)),
+                ],
+                input=self._options.of_the_model().model_dump_json(exclude_unset=True) + "\n",
                 env={**os.environ, **self._options.environment},
                 check=True,
                 capture_output=True,

@@ -15,19 +15,9 @@ from typing import Any
 import numpy as np
 
 import roboneuron
-from rn_backend_openpi.fields import (
-    MOST_TEXT,
-    array,
-    field,
-    integer,
-    items,
-    number,
-    numbers,
-    table,
-    text,
-)
 from rn_backend_openpi.images import decode_image
-from rn_backend_openpi.whole_state import WholeState
+from rn_backend_openpi.state import state_entries, state_of
+from rn_backend_openpi.wire import array, numbers
 from roboneuron import (
     EE_DELTA,
     ActionChunk,
@@ -47,6 +37,7 @@ from roboneuron import (
     StateError,
     UngroundedError,
     UnsafeError,
+    foreign,
 )
 
 RESERVED = "roboneuron"
@@ -58,7 +49,6 @@ _MOST_CAMERAS = 16
 _MOST_NAMES = 256
 MOST_ROWS = 4096
 _MOST_METRICS = 128
-_STATE = WholeState()
 _ERRORS: dict[str, type[RoboNeuronError]] = {
     kind.code: kind
     for kind in (
@@ -104,9 +94,7 @@ def from_observation(observation: Observation) -> Document:
         UnsafeError: a number of its state is not finite.
     """
     joints, pose, ahead = observation.joints, observation.ee_pose, observation.ahead
-    is_measured = joints or pose or observation.arms or observation.gripper_open is not None
     images = {image_key(role): frame.image for role, frame in observation.frames.items()}
-    state = _STATE.build(observation) if is_measured else {}
     own: Document = {
         "frames": {role: _from_frame(frame) for role, frame in observation.frames.items()},
         "stamp_ns": observation.stamp_ns,
@@ -115,7 +103,7 @@ def from_observation(observation: Observation) -> Document:
         "arm_stamps_ns": {name: arm.ee_pose.stamp_ns for name, arm in observation.arms.items()},
         "ahead": None if ahead is None else _from_ahead(ahead),
     }
-    return {PROMPT: observation.instruction, **images, **state, RESERVED: own}
+    return {PROMPT: observation.instruction, **images, **state_entries(observation), RESERVED: own}
 
 
 def _from_ahead(ahead: Ahead) -> Document:
@@ -149,19 +137,19 @@ def to_observation(document: object, held: Held = lambda context: None) -> Obser
         ForeignDataError: a field is missing, or has not the type and range of the contract.
         RoboNeuronError: as the contract's own types.
     """
-    entries = table(document, "a request")
-    own = table(entries.get(RESERVED, {}), RESERVED)
-    told = table(own.get("frames", {}), "frames", _MOST_CAMERAS)
+    entries = foreign.table(document, "a request")
+    own = foreign.table(entries.get(RESERVED, {}), RESERVED)
+    told = foreign.table(own.get("frames", {}), "frames", _MOST_CAMERAS)
     images = {found[1] or "primary": key for key in entries if (found := _image(key))}
     if len(images) > _MOST_CAMERAS:
         raise ForeignDataError(f"{len(images)} images are more than {_MOST_CAMERAS}")
-    state, ahead = _STATE.parse(entries), own.get("ahead")
+    state, ahead = state_of(entries), own.get("ahead")
     joints, pose, stamps = state.joints, state.ee_pose, own.get("arm_stamps_ns", {})
     if joints is not None:
         joints = replace(joints, stamp_ns=_stamp(own, "joints_stamp_ns"))
     return Observation(
         frames={role: _to_frame(role, entries[key], told) for role, key in images.items()},
-        instruction=text(field(document, PROMPT), PROMPT, MOST_TEXT),
+        instruction=foreign.text(foreign.field(document, PROMPT), PROMPT, foreign.MOST_TEXT),
         joints=joints,
         ee_pose=None if pose is None else replace(pose, stamp_ns=_stamp(own, "pose_stamp_ns")),
         gripper_open=state.gripper_open,
@@ -184,42 +172,42 @@ def _image(key: object) -> re.Match[str] | None:
 
 
 def _stamp(document: object, name: str) -> int:
-    return integer(table(document, "stamps").get(name, 0), f"the stamp {name!r}")
+    return foreign.integer(foreign.table(document, "stamps").get(name, 0), f"the stamp {name!r}")
 
 
 def _to_ahead(value: object, held: Held) -> Ahead:
-    rows = numbers(field(value, "rows"), "rows ahead", (None, None))
+    rows = numbers(foreign.field(value, "rows"), "rows ahead", (None, None))
     if len(rows) > MOST_ROWS:
         raise InvalidInputError(f"{len(rows)} rows ahead are more than {MOST_ROWS}.")
-    named = field(value, "context")
+    named = foreign.field(value, "context")
     context = None if named is None else held(_to_context(named))
     return Ahead(
         rows=rows,
-        committed_rows=integer(field(value, "committed_rows"), "committed_rows"),
-        step_s=number(field(value, "step_s"), "step_s"),
+        committed_rows=foreign.integer(foreign.field(value, "committed_rows"), "committed_rows"),
+        step_s=foreign.number(foreign.field(value, "step_s"), "step_s"),
         context=context,
-        context_row=integer(field(value, "context_row"), "context_row"),
-        state_ahead_s=number(field(value, "state_ahead_s"), "state_ahead_s"),
+        context_row=foreign.integer(foreign.field(value, "context_row"), "context_row"),
+        state_ahead_s=foreign.number(foreign.field(value, "state_ahead_s"), "state_ahead_s"),
     )
 
 
 def _to_frame(role: str, image: object, told: Document) -> Frame:
-    own = table(told.get(role, {}), "a frame")
+    own = foreign.table(told.get(role, {}), "a frame")
     known = own.get("calibration")
     return Frame(
-        camera=text(own.get("camera", role), "camera"),
+        camera=foreign.text(own.get("camera", role), "camera"),
         image=decode_image(image),
         stamp_ns=_stamp(own, "stamp_ns"),
-        frame_id=text(own.get("frame_id", ""), "frame_id"),
+        frame_id=foreign.text(own.get("frame_id", ""), "frame_id"),
         calibration=None if known is None else _to_calibration(known),
     )
 
 
 def _to_calibration(value: object) -> CameraCalibration:
-    intrinsics, mount, pose = items(value, "a calibration", most=3, least=3)
+    intrinsics, mount, pose = foreign.items(value, "a calibration", most=3, least=3)
     return CameraCalibration(
         intrinsics=numbers(intrinsics, "intrinsics", (3, 3)),
-        mount=text(mount, "mount"),
+        mount=foreign.text(mount, "mount"),
         T_mount_camera=numbers(pose, "T_mount_camera", (4, 4)),
     )
 
@@ -234,8 +222,7 @@ def from_answer(
         context: reference to the chunk's context, which stays in the server.
     """
     if isinstance(answer, RoboNeuronError):
-        words = {"message": answer.message[:MOST_TEXT], "hint": answer.hint[:MOST_TEXT]}
-        return {RESERVED: {"error": answer.code, **words}}
+        return {RESERVED: from_error(answer)}
     values = np.array(list(answer.metrics.values()), dtype=np.float64)
     own: Document = {
         "space": from_space(answer.space),
@@ -253,12 +240,23 @@ def from_answer(
     }
 
 
+def from_error(error: RoboNeuronError) -> Document:
+    """Encode an error, as a map at `RESERVED` has it; see `raise_told`."""
+    return {
+        "error": error.code,
+        "message": error.message[: foreign.MOST_TEXT],
+        "hint": error.hint[: foreign.MOST_TEXT],
+    }
+
+
 def raise_told(document: Mapping[str, object]) -> None:
     """Raise the error in a map at `RESERVED`, if there is one."""
     if "error" in document:
-        kind = _ERRORS.get(text(document["error"], "an error"), PluginError)
-        message = text(field(document, "message"), "a message", MOST_TEXT)
-        raise kind(message, hint=text(field(document, "hint"), "a hint", MOST_TEXT))
+        kind = _ERRORS.get(foreign.text(document["error"], "an error"), PluginError)
+        message = foreign.text(foreign.field(document, "message"), "a message", foreign.MOST_TEXT)
+        raise kind(
+            message, hint=foreign.text(foreign.field(document, "hint"), "a hint", foreign.MOST_TEXT)
+        )
 
 
 def to_answer(document: Mapping[str, object]) -> ActionChunk:
@@ -268,26 +266,31 @@ def to_answer(document: Mapping[str, object]) -> ActionChunk:
         RoboNeuronError: the received error.
         ForeignDataError: it is neither a chunk nor an error.
     """
-    own = table(field(document, RESERVED), RESERVED)
+    own = foreign.table(foreign.field(document, RESERVED), RESERVED)
     raise_told(own)
-    names, values = items(field(own, "metrics"), "metrics", most=2, least=2)
-    names = [text(name, "a metric", 64) for name in items(names, "metrics", most=_MOST_METRICS)]
+    names, values = foreign.items(foreign.field(own, "metrics"), "metrics", most=2, least=2)
+    names = [
+        foreign.text(name, "a metric", 64)
+        for name in foreign.items(names, "metrics", most=_MOST_METRICS)
+    ]
     values = array(values, "metrics", "<f8", (len(names),))
-    context = field(own, "context")
+    context = foreign.field(own, "context")
     return ActionChunk(
-        actions=numbers(field(document, "actions"), "actions", (None, None)),
-        step_s=number(field(document, "step_s"), "step_s"),
+        actions=numbers(foreign.field(document, "actions"), "actions", (None, None)),
+        step_s=foreign.number(foreign.field(document, "step_s"), "step_s"),
         metrics=dict(zip(names, values.tolist(), strict=True)),
-        note=text(field(own, "note"), "a note", MOST_TEXT),
+        note=foreign.text(foreign.field(own, "note"), "a note", foreign.MOST_TEXT),
         context=None if context is None else _to_context(context),
-        conditioned_rows=integer(field(own, "conditioned_rows"), "conditioned_rows"),
-        space=to_space(field(own, "space")),
+        conditioned_rows=foreign.integer(
+            foreign.field(own, "conditioned_rows"), "conditioned_rows"
+        ),
+        space=to_space(foreign.field(own, "space")),
     )
 
 
 def _to_context(value: object) -> HeldContext:
-    session, count = items(value, "a context", most=2, least=2)
-    return HeldContext(integer(session, "a context"), integer(count, "a context"))
+    session, count = foreign.items(value, "a context", most=2, least=2)
+    return HeldContext(foreign.integer(session, "a context"), foreign.integer(count, "a context"))
 
 
 def from_space(space: ControlSpace) -> list[object]:
@@ -303,12 +306,17 @@ def to_space(value: object) -> ControlSpace:
         ForeignDataError: it is malformed.
         RoboNeuronError: as `ControlSpace`.
     """
-    kind, rate_hz, channels = items(value, "a space", most=3, least=3)
+    kind, rate_hz, channels = foreign.items(value, "a space", most=3, least=3)
     named = [
-        tuple(text(word, "a channel") for word in items(channel, "a channel", most=4, least=4))
-        for channel in items(channels, "channels", most=_MOST_NAMES)
+        tuple(
+            foreign.text(word, "a channel")
+            for word in foreign.items(channel, "a channel", most=4, least=4)
+        )
+        for channel in foreign.items(channels, "channels", most=_MOST_NAMES)
     ]
-    return _space(text(kind, "kind of a space"), tuple(named), number(rate_hz, "rate_hz"))
+    return _space(
+        foreign.text(kind, "kind of a space"), tuple(named), foreign.number(rate_hz, "rate_hz")
+    )
 
 
 @lru_cache(maxsize=1)  # a model answers always in the same one

@@ -19,8 +19,8 @@ from prometheus_client.core import (
     Metric,
 )
 
+from rn_backend_openpi.description import READY
 from rn_backend_openpi.messages import Document
-from rn_backend_openpi.session import READY
 from rn_backend_openpi.statistics import BOUNDS_S
 from roboneuron import ConfigurationError
 

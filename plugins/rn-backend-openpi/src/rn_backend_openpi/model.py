@@ -8,12 +8,12 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import cast
 
 from rn_backend_openpi.batching import Answer
+from rn_backend_openpi.description import describe_arena
 from rn_backend_openpi.interface import served_layout
+from rn_backend_openpi.interface_options import InterfaceOptions
 from rn_backend_openpi.layout import Layout
-from rn_backend_openpi.metadata import describe_arena
-from rn_backend_openpi.options import InterfaceOptions
-from rn_backend_openpi.shared_options import SharedOptions
-from rn_backend_openpi.shared_space import space_of
+from rn_backend_openpi.options import ModelOptions
+from rn_backend_openpi.space import space_of
 from roboneuron import (
     EE_DELTA,
     AccelerationSpec,
@@ -47,10 +47,10 @@ class SharedModel:
 
     Attributes:
         spec: descriptor of the backend.
-        layout: interface for clients of openpi's kind; None without the option `interface`.
+        layout: interface for clients of openpi's kind; None without a profile.
     """
 
-    def __init__(self, options: SharedOptions) -> None:
+    def __init__(self, options: ModelOptions) -> None:
         self._options = options
         self._backend: Backend
         self._many: Many | None = None
@@ -74,10 +74,10 @@ class SharedModel:
                 "for this model: observations are then answered one by one.",
             )
         self._backend.load()
-        if self._options.interface is not None:
-            space = self._space_for(self._options.interface)
-            self.layout = served_layout(self._options.interface, self.spec, space)
-            if self._options.interface.dialect == "roboarena":
+        interface = self._options.interface
+        if interface is not None and interface.profile is not None:
+            self.layout = served_layout(interface, self.spec, self._space_for(interface))
+            if interface.dialect == "roboarena":
                 describe_arena(self.layout)  # a space without a name is found before any client
 
     def _space_for(self, interface: InterfaceOptions) -> ControlSpace:

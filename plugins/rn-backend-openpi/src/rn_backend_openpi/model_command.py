@@ -23,12 +23,13 @@ class SharedModelCommand:
     def run(self, arguments: Namespace) -> int:
         """Serve."""
         from rn_backend_openpi.links import directory_of
+        from rn_backend_openpi.options import PolicyOptions
         from rn_backend_openpi.plugin import SHARED
         from rn_backend_openpi.server_process import serve
-        from rn_backend_openpi.shared_options import SharedOptions
         from roboneuron.command import load_config, loading
 
         options = loading.load_options(SHARED, load_config(arguments.config).options(SHARED.name))
-        assert isinstance(options, SharedOptions)
+        assert isinstance(options, PolicyOptions)
         logging.getLogger("rn_backend_openpi").setLevel(logging.INFO)
-        return serve(options, directory_of(options) / f"{options.identity()}.sock", None)
+        path = directory_of(options) / f"{options.identity()}.sock"
+        return serve(options.of_the_model(), path, None)

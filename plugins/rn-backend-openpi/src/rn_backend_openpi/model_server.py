@@ -11,7 +11,6 @@ import threading
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import replace
 from http import HTTPStatus
 from pathlib import Path
 
@@ -19,22 +18,25 @@ from websockets.asyncio.server import ServerConnection
 
 from rn_backend_openpi import messages
 from rn_backend_openpi.batching import Answer, Batcher, Waiting
-from rn_backend_openpi.conversations import Reply, converse
-from rn_backend_openpi.images import CROPPED, crop
+from rn_backend_openpi.conversation import Conversation, Reply, converse
+from rn_backend_openpi.description import (
+    FAILED,
+    LOADING,
+    PROTOCOL,
+    READY,
+    describe_arena,
+    facts_of,
+)
 from rn_backend_openpi.introduction import to_profile
 from rn_backend_openpi.listener import Listener
 from rn_backend_openpi.messages import RESERVED, Document
-from rn_backend_openpi.metadata import describe, describe_arena
 from rn_backend_openpi.model import SharedModel
-from rn_backend_openpi.model_conversation import ModelConversation
-from rn_backend_openpi.session import FAILED, LOADING, PROTOCOL, READY
-from rn_backend_openpi.shared_options import SharedOptions
+from rn_backend_openpi.options import ModelOptions
 from rn_backend_openpi.statistics import Statistics
 from rn_backend_openpi.status_page import STATUS
 from roboneuron import (
     ForeignDataError,
     NotReadyError,
-    Observation,
     RoboNeuronError,
 )
 from roboneuron.command import HangWatch
@@ -59,7 +61,7 @@ class SharedModelServer:
 
     def __init__(
         self,
-        options: SharedOptions,
+        options: ModelOptions,
         path: Path,
         idle_s: float | None,
         model: SharedModel | None = None,
@@ -184,21 +186,16 @@ class SharedModelServer:
             thread.join(_START_S)
 
     async def _handle(self, connection: ServerConnection) -> None:
-        await converse(connection, ModelConversation(self))
+        await converse(connection, Conversation(self))
 
     def first(self, number: int) -> Reply:
-        """The first message to a client: the interface as openpi's servers tell it, and the
-        description of the model with a number (see `Welcome`).
+        """The first message to a client: the description of the model with a number (see
+        `ServerDescription`), or the metadata of RoboArena.
         """
-        told: Document = {RESERVED: {**self.metadata(), "number": number}}
         interface, layout = self._options.interface, self.model.layout
-        if self._state != READY or interface is None or layout is None:
-            return told
-        if interface.dialect == "roboarena":
+        if layout is not None and interface is not None and interface.dialect == "roboarena":
             return describe_arena(layout)
-        spec = self.model.spec
-        horizon = spec.action_space.horizon
-        return {**describe(layout, backend=spec.name, needed=spec.cameras, horizon=horizon), **told}
+        return {RESERVED: {**self.metadata(), "number": number}}
 
     def metadata(self) -> Document:
         """Description of the model in the first message to a robot, which repeats the connection
@@ -206,8 +203,7 @@ class SharedModelServer:
         """
         told: Document = {"protocol": PROTOCOL, "state": self._state, "pid": os.getpid()}
         if self._failure is not None:
-            failure: Document = messages.from_answer(self._failure)[RESERVED]
-            return told | failure
+            return told | messages.from_error(self._failure)
         if self._state == READY:
             spec = self.model.spec
             told["cameras"] = list(spec.cameras)
@@ -217,8 +213,9 @@ class SharedModelServer:
             told["most_committed"] = spec.max_committed_rows
             told["takes_state"] = spec.takes_predicted_state
             told["continues"] = self.model.continues_rows
-            told["crops"] = {role: list(one) for role, one in self._options.crop.items()}
             told["image_sizes"] = {role: list(size) for role, size in self._image_sizes.items()}
+            if self.model.layout is not None:
+                told["interface"] = facts_of(self.model.layout)
         return told
 
     def space_on(self, robot: object) -> Document:
@@ -232,7 +229,7 @@ class SharedModelServer:
         except ForeignDataError:  # no introduction; a refusal is for a model that does not fit
             raise
         except RoboNeuronError as error:
-            return {"refusal": messages.from_answer(error)[RESERVED]}
+            return {"refusal": messages.from_error(error)}
 
     def _status_page(self) -> tuple[HTTPStatus, str]:
         return HTTPStatus.OK, json.dumps(self.status())
@@ -247,25 +244,8 @@ class SharedModelServer:
             **self._statistics.values(),
         }
         if self._failure is not None:
-            own |= messages.from_answer(self._failure)[RESERVED]
+            own |= messages.from_error(self._failure)
         return own
-
-    def cropped(self, observation: Observation, request: Document) -> Observation:
-        """Crop the images that the robot has not cropped.
-
-        Args:
-            observation: the received observation.
-            request: the message.
-
-        Raises:
-            InvalidInputError: the crop exceeds an image.
-        """
-        told = request.get(RESERVED, {}).get("frames", {})
-        frames = dict(observation.frames)
-        for role, rectangle in self._options.crop.items():
-            if role in frames and not told.get(role, {}).get(CROPPED, False):
-                frames[role] = crop(frames[role], rectangle)
-        return replace(observation, frames=frames)
 
     def submit(self, waiting: Waiting) -> None:
         """See `Batcher`."""

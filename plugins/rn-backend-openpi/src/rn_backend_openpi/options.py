@@ -1,212 +1,32 @@
-"""Options of the interface of a served policy, which client and server share, and those under
-`[plugins.openpi]`.
-"""
+"""Options of a policy that is served elsewhere, under `[plugins.openpi]` or `[plugins.shared]`."""
 
 from __future__ import annotations
 
+import hashlib
+import json
 import logging
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
-from rn_backend_openpi.conventions import GripperValue, PoseRotation
-from rn_backend_openpi.layout import Axes
-from rn_backend_openpi.rows import JointKind
-from rn_vla.letterbox import Flip
+from rn_backend_openpi.interface_options import InterfaceOptions, Key, put_option
 from rn_vla.normalisation import ScalingKind
-from rn_vla.tcp_profiles import ActionOptions, OptionSection, Vector
-from rn_vla.tcp_state import StateTerm
+from rn_vla.tcp_profiles import OptionSection
 from roboneuron import AgentMaySet, ConfigurationOnly
 
 log = logging.getLogger(__name__)
-PLAIN, OWN = "roboneuron", "own"
-ProfileName = Literal[
-    "libero",
-    "bridge",
-    "droid",
-    "droid-position",
-    "roboarena",
-    "franka",
-    "ur5e",
-    "aloha",
-    "roboneuron",
-    "own",
-]
-SpaceKind = Literal["ee_delta", "ee_pose", "joint_position", "joint_velocity", "joint_delta"]
-_PLAIN_ONLY = {"space", "rate_hz", "slides", "grippers"}
-_OLD = frozenset({"answer_timeout_s", "send_timeout_s", "idle_timeout_s", "precision"})
-"""Options of the server of earlier releases."""
-Role = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=64)]
-Key = Annotated[str, Field(min_length=1, max_length=200)]
-Name = Annotated[str, Field(min_length=1, max_length=200)]
-Side = Annotated[int, Field(ge=16, le=4096)]
-Rate = Annotated[float, Field(gt=0, le=1000)]
-
-
-class DeltaAction(ActionOptions):
-    """Actions that move the TCP of one arm."""
-
-    kind: Literal["ee_delta"] = Field(description="control space")
-
-
-class PoseAction(OptionSection):
-    """Actions that are poses of the TCP, arm after arm."""
-
-    kind: Literal["ee_pose"] = Field(description="control space")
-    rotation: PoseRotation = Field(description="representation of rotations")
-    gripper: GripperValue = Field(description="meaning of an arm's last value; 'none' without one")
-    rate_hz: Rate = Field(description="rows per second")
-
-
-class JointAction(OptionSection):
-    """Joint actions, arm after arm."""
-
-    kind: JointKind = Field(description="control space")
-    gripper: GripperValue = Field(description="meaning of an arm's last value; 'none' without one")
-    rate_hz: Rate = Field(description="rows per second")
-    limit: float = Field(
-        default=0.0, ge=0, description="clip joint values to +-limit; 0: no clipping"
-    )
-    scale: float = Field(default=1.0, gt=0, description="rad or rad/s per unit")
-
-
-OwnAction = Annotated[DeltaAction | PoseAction | JointAction, Field(discriminator="kind")]
-
-
-class InterfaceOptions(OptionSection):
-    """What the requests of openpi's clients hold, and what the answers mean: options that a client
-    and its server share.
-    """
-
-    robot: Annotated[str | None, ConfigurationOnly()] = Field(
-        default=None,
-        description="of a server: the robot on whose joints the backend's control space depends",
-    )
-    dialect: Literal["auto", "openpi", "roboarena"] = Field(
-        default="auto",
-        description="'roboarena' (DreamZero, vLLM-Omni) adds endpoint and session_id to requests; "
-        "'auto': according to the server's metadata",
-    )
-    profile: ProfileName | None = Field(
-        default=None, description="the served policy's interface; never guessed"
-    )
-    space: SpaceKind = Field(
-        default="ee_delta", description="profile 'roboneuron': control space of the server's rows"
-    )
-    rate_hz: float = Field(
-        default=0.0,
-        ge=0,
-        le=1000,
-        description="profile 'roboneuron': rows per second; 0: taken from each answer",
-    )
-    joints: Annotated[tuple[Name, ...], Field(max_length=64)] | None = Field(
-        default=None,
-        description="the robot's names of the policy's joints, in the policy's order (each arm "
-        "from the base to the tip); joints are never mapped by position",
-    )
-    slides: Annotated[tuple[Name, ...], Field(max_length=64)] = Field(
-        default=(), description="profile 'roboneuron': the prismatic ones among the joints"
-    )
-    arms: Annotated[tuple[Name, ...], Field(max_length=8)] = Field(
-        default=(), description="profiles 'roboneuron' and 'own': names of several arms, in order"
-    )
-    grippers: bool = Field(default=True, description="profile 'roboneuron': each arm has a gripper")
-    action: OwnAction | None = Field(default=None, description="profile 'own': the rows")
-    state_keys: Annotated[dict[Key, tuple[StateTerm, ...]] | None, AgentMaySet()] = Field(
-        default=None, description="state terms by key of the request; those of the profile if unset"
-    )
-    rotvec_near_rad: Vector | None = Field(
-        default=None,
-        description="choose the rotation vector nearer to this [rad]; the profile's if unset",
-    )
-    finger_travel_m: float = Field(
-        default=0.04, gt=0, description="position of one finger joint when open [m]"
-    )
-    base_position_m: Vector = Field(
-        default=(0.0, 0.0, 0.0),
-        description="position of the robot's base in the frame of the training data [m]",
-    )
-    image_keys: Annotated[dict[Role, Key] | None, AgentMaySet()] = Field(
-        default=None,
-        min_length=1,
-        description="key of the request by camera role; a dot separates nested maps",
-    )
-    image_size_px: tuple[Side, Side] | Literal["raw"] | None = Field(
-        default=None,
-        description="height and width for scaled images; the server's or the profile's if unset",
-    )
-    image_axes: Axes | None = Field(
-        default=None, description="'chw': colour axis first; the profile's if unset"
-    )
-    image_flip: Flip = Field(
-        default="none",
-        description="converts upright images to the orientation of the training data",
-    )
-    prompt_key: Annotated[str, AgentMaySet()] = Field(
-        default="prompt", min_length=1, description="key of the instruction"
-    )
-
-    @model_validator(mode="after")
-    def _fits_together(self) -> Self:
-        if (self.profile == OWN) != (self.action is not None):
-            raise ValueError("profile 'own', and no other, needs the table 'action'")
-        if self.profile == OWN and not self.state_keys:
-            raise ValueError("profile 'own' needs state_keys")
-        if self.arms and self.profile not in (OWN, PLAIN):
-            raise ValueError("arms is read by the profiles 'own' and 'roboneuron' only")
-        unread = _PLAIN_ONLY & self.model_fields_set
-        if unread and self.profile not in (PLAIN, None):
-            raise ValueError(f"{', '.join(sorted(unread))}: read by the profile 'roboneuron' only")
-        return self
-
-    def interface(self) -> InterfaceOptions:
-        """These options without those of a client."""
-        own = self.model_dump(include=set(InterfaceOptions.model_fields), exclude_unset=True)
-        return InterfaceOptions.model_validate(own)
-
-
-class ServerOptions(OptionSection):
-    """Options of `roboneuron openpi-server`, as `[listen]` and `[models.NAME]` of
-    `roboneuron serve-policy` have them.
-    """
-
-    # no default address: an agent that chose this backend would otherwise be refused because of it
-    host: Annotated[str | None, ConfigurationOnly()] = Field(
-        default=None, min_length=1, description="address to listen on; 127.0.0.1 if unset"
-    )
-    port: int = Field(default=8000, ge=0, le=65535, description="port; 0 for any free one")
-    token_file: Annotated[Path | None, ConfigurationOnly()] = Field(
-        default=None, description="file with the key that clients send as Api-Key"
-    )
-    certificate: Annotated[Path | None, ConfigurationOnly()] = Field(
-        default=None, description="PEM of the server; enables wss://"
-    )
-    certificate_key: Annotated[Path | None, ConfigurationOnly()] = Field(
-        default=None, description="PEM of its private key; read from `certificate` if unset"
-    )
-    insecure: bool = Field(
-        default=False,
-        description="listen beyond this machine without token and certificate; logged",
-    )
-    clients: int = Field(default=16, ge=1, le=100, description="most connections")
-    waiting: int = Field(default=64, ge=1, le=4096, description="most observations in the queue")
-    most: int = Field(default=8, ge=1, le=256, description="most observations in one batch")
-    linger_s: float = Field(
-        default=0.003, ge=0, le=0.1, description="wait of an idle server for further robots [s]"
-    )
-    stateless: bool = Field(
-        default=False,
-        description="serve a backend without batches; only one that keeps no history",
-    )
-
-    @model_validator(mode="before")
-    @classmethod
-    def _without_old(cls, given: object) -> object:
-        if not isinstance(given, dict) or not _OLD & given.keys():
-            return given
-        log.warning("[plugins.openpi.server] has no %s any more.", ", ".join(_OLD & given.keys()))
-        return {name: value for name, value in given.items() if name not in _OLD}
+_RENAMED = {
+    "api_key_file": "token_file",
+    "ca": "ca_file",
+    "request_timeout_s": "timeout_s",
+    "connect_timeout_s": "start_timeout_s",
+}
+"""Present name by the one of earlier releases, which is read until 0.2."""
+_WIRE = "websocket 1"
+"""Part of the name of a local server, so that no release finds the server of another one."""
+Identifier = Annotated[str, Field(pattern=r"^[a-z][a-z0-9-]*$", max_length=64)]
+Table = Annotated[dict[str, object], ConfigurationOnly()]
 
 
 class NormalisationOptions(OptionSection):
@@ -216,9 +36,107 @@ class NormalisationOptions(OptionSection):
     kind: ScalingKind = Field(description="'quantiles' for pi0.5, 'mean_std' for pi0")
 
 
-class OpenpiOptions(InterfaceOptions):
-    """Options of the backend "openpi", and of `roboneuron openpi-server`."""
+class ModelOptions(OptionSection):
+    """A model, and its server."""
 
+    backend: Annotated[Identifier | None, ConfigurationOnly()] = Field(
+        default=None, description="the backend that holds the model, for instance `oft`"
+    )
+    checkpoint: Annotated[str | None, ConfigurationOnly()] = Field(
+        default=None, description="directory of its files, if it needs one"
+    )
+    options: Table = Field(default={}, description="its options, as under `[plugins.<backend>]`")
+    runtime: Annotated[Identifier | None, ConfigurationOnly()] = Field(
+        default=None, description="the runtime that executes it; the backend's default if unset"
+    )
+    runtime_options: Table = Field(default={}, description="options of the runtime")
+    acceleration: Annotated[Identifier | None, ConfigurationOnly()] = Field(
+        default=None, description="a preset, if the runtime supports one"
+    )
+    acceleration_options: Table = Field(default={}, description="options of the acceleration")
+    stateless: Annotated[bool, ConfigurationOnly()] = Field(
+        default=False,
+        description="share a backend that cannot answer several observations at once: they are "
+        "answered one by one. Only for a backend that keeps no state from one observation to the "
+        "next, otherwise it would mix the robots up.",
+    )
+    most: int = Field(
+        default=8, ge=1, le=256, description="largest number of observations in one batch"
+    )
+    waiting: int = Field(
+        default=64,
+        ge=1,
+        le=4096,
+        description="largest number of queued observations; further ones are refused at once",
+    )
+    linger_s: float = Field(
+        default=0.003,
+        ge=0,
+        le=0.1,
+        description="wait of an idle server for other robots before it answers the first alone [s]",
+    )
+    interface: Annotated[InterfaceOptions | None, ConfigurationOnly()] = Field(
+        default=None,
+        description="for clients of openpi's kind: what their requests hold and what the answers "
+        "mean. If unset: the state by name, and rows as the backend writes them.",
+    )
+    python: Annotated[Path | None, ConfigurationOnly()] = Field(
+        default=None, description="interpreter of the server; by default that of this process"
+    )
+    environment: Annotated[dict[str, str], ConfigurationOnly()] = Field(
+        default={}, description="further environment variables of the server"
+    )
+
+    def of_the_model(self) -> ModelOptions:
+        """These options without those of a robot or of a server's file."""
+        own = self.model_dump(include=set(ModelOptions.model_fields), exclude_unset=True)
+        return ModelOptions.model_validate(own)
+
+
+def check_port(address: str | None) -> str | None:
+    """Return an address. Raises ValueError: its port is beyond 65535."""
+    if address is not None and int(address.rpartition(":")[2]) > 65535:
+        raise ValueError(f"{address!r} names no port: write host:port, port from 1 to 65535")
+    return address
+
+
+class PolicyOptions(InterfaceOptions, ModelOptions):
+    """Options of the backends `openpi` and `shared`: where the policy is served (`url`, `address`,
+    or by a `backend` on this machine), and what is exchanged with its server.
+    """
+
+    url: Annotated[str | None, ConfigurationOnly()] = Field(
+        default=None,
+        pattern=r"^wss?://\S+$",
+        description="address of a policy server, with its path if it has one",
+    )
+    address: Annotated[
+        str | None,
+        ConfigurationOnly(),
+        Field(pattern=r"^[^\s:]{1,253}:\d{1,5}$"),
+        AfterValidator(check_port),
+    ] = Field(
+        default=None,
+        description="a server of `roboneuron serve-policy`, `host:port`; `host` may be the name of "
+        "a machine of `roboneuron link`, whose keys are used without token_file",
+    )
+    model: Annotated[Identifier | None, ConfigurationOnly()] = Field(
+        default=None, description="name of the model at that address; optional if there is only one"
+    )
+    token_file: Annotated[Path | None, ConfigurationOnly()] = Field(
+        default=None, description="file with the token or API key that the server expects"
+    )
+    api_key_variable: Annotated[str | None, ConfigurationOnly()] = Field(
+        default=None, description="name of the environment variable with the API key"
+    )
+    allow_insecure_key: Annotated[bool, ConfigurationOnly()] = Field(
+        default=False, description="send the key over an unencrypted remote connection"
+    )
+    ca_file: Annotated[Path | None, ConfigurationOnly()] = Field(
+        default=None,
+        description="PEM of the authority that signed the server's certificate, or the certificate;"
+        " the system's authorities if unset",
+    )
     engine: Literal["sglang", "vllm-omni"] | None = Field(
         default=None,
         description="the engine that serves a LeRobot checkpoint: its path, its names, rows padded "
@@ -229,41 +147,89 @@ class OpenpiOptions(InterfaceOptions):
         description="of an engine: the statistics by which the client converts states and rows; "
         "'server' if the engine does",
     )
-    url: Annotated[str, ConfigurationOnly()] = Field(
-        default="ws://127.0.0.1:8000",
-        pattern=r"^wss?://\S+$",
-        description="address of the policy server, with its path if it has one",
-    )
-    api_key_file: Annotated[Path | None, ConfigurationOnly()] = Field(
-        default=None, description="file with the API key"
-    )
-    api_key_variable: Annotated[str | None, ConfigurationOnly()] = Field(
-        default=None, description="name of the environment variable with the API key"
-    )
-    allow_insecure_key: Annotated[bool, ConfigurationOnly()] = Field(
-        default=False, description="send the key over an unencrypted remote connection"
-    )
-    ca_file: Annotated[Path | None, ConfigurationOnly()] = Field(
-        default=None, description="PEM of the authority that signed a wss:// server's certificate"
-    )
-    connect_timeout_s: float = Field(
-        default=10.0, gt=0, le=600, description="longest wait for the server during load [s]"
-    )
-    warm_up_timeout_s: float = Field(
-        default=120.0, gt=0, le=600, description="limit of the first inference (compilation) [s]"
-    )
-    request_timeout_s: float = Field(
-        default=1.5, gt=0, le=60, description="limit of one inference with reconnection [s]"
-    )
     action_keys: Annotated[tuple[Key, ...], Field(min_length=1, max_length=16), AgentMaySet()] = (
         Field(default=("actions",), description="arrays of the answer, concatenated in this order")
     )
     action_steps: int | None = Field(
         default=None, ge=1, description="actions of a chunk to execute before the next one"
     )
-    server: Annotated[ServerOptions, ConfigurationOnly()] = Field(
-        default=ServerOptions(), description="options of `roboneuron openpi-server`"
+    coding: Literal["auto", "raw", "png", "jpeg"] = Field(
+        default="auto",
+        description="coding of images sent to another machine without a profile. `auto`: raw if the"
+        " link transfers it within `link_share` of a period, otherwise PNG, otherwise JPEG",
     )
+    link_share: float = Field(
+        default=0.3, gt=0, le=1, description="fraction of a period, see `coding`"
+    )
+    quality: int = Field(default=90, ge=1, le=100, description="quality of JPEG")
+    parity_m: Annotated[float, ConfigurationOnly()] = Field(
+        default=0.002,
+        ge=0,
+        description="largest accepted change of actions by JPEG, measured before the first action; "
+        "above it JPEG is not chosen, or refused if configured [m, m/s]",
+    )
+    parity_rad: Annotated[float, ConfigurationOnly()] = Field(
+        default=0.01, ge=0, description="likewise [rad, rad/s]"
+    )
+    timeout_s: float = Field(
+        default=1.5, gt=0, le=60, description="deadline of each observation [s]"
+    )
+    start_timeout_s: float = Field(
+        default=900.0,
+        gt=0,
+        le=3600,
+        description="longest wait for a server that is loading; for one that does not answer 10 s "
+        "at most [s]",
+    )
+    warm_up_timeout_s: float = Field(
+        default=120.0,
+        gt=0,
+        le=600,
+        description="limit of the first inference with a profile (compilation) [s]",
+    )
+    idle_s: Annotated[float, ConfigurationOnly()] = Field(
+        default=60.0,
+        ge=0,
+        le=86400,
+        description="time without any robot after which a server on this machine ends [s]",
+    )
+    directory: Annotated[Path | None, ConfigurationOnly()] = Field(
+        default=None,
+        description="folder of the servers' sockets and logs; by default in the user's run-time "
+        "directory",
+    )
+    server: Table = Field(default={}, description="options of `roboneuron openpi-server`")
+
+    api_key_file: Annotated[Path | None, ConfigurationOnly()] = Field(
+        default=None, description="until 0.2: token_file"
+    )
+    ca: Annotated[Path | None, ConfigurationOnly()] = Field(
+        default=None, description="until 0.2: ca_file"
+    )
+    request_timeout_s: float | None = Field(
+        default=None, gt=0, le=60, description="until 0.2: timeout_s"
+    )
+    connect_timeout_s: float | None = Field(
+        default=None, gt=0, le=600, description="until 0.2: start_timeout_s"
+    )
+
+    @model_validator(mode="after")
+    def _with_new_names(self) -> Self:
+        for old in sorted(_RENAMED.keys() & self.model_fields_set):
+            log.warning("The option %s is called %s now.", old, _RENAMED[old])
+            put_option(self, _RENAMED[old], getattr(self, old))
+        return self
+
+    def identity(self) -> str:
+        """16 hexadecimal digits, equal for robots that share a model on this machine."""
+        own = self.of_the_model().model_dump(mode="json")
+        named = json.dumps([_WIRE, own, self.idle_s], sort_keys=True)
+        return hashlib.sha256(named.encode()).hexdigest()[:16]
+
+    @property
+    def is_local(self) -> bool:
+        """True for a model on this machine, whose server is started if necessary."""
+        return self.url is None and self.address is None
 
     @property
     def is_bare(self) -> bool:
@@ -271,19 +237,34 @@ class OpenpiOptions(InterfaceOptions):
         return self.engine is not None and self.profile != "roboarena"
 
     @model_validator(mode="after")
+    def _has_one_place(self) -> Self:
+        if self.is_local and self.backend is None:
+            raise ValueError(
+                "name the url of a server, its address, or the backend that holds the model"
+            )
+        if self.url is not None and self.address is not None:
+            raise ValueError("give url or address, not both")
+        of_others = (self.model, self.space, self.token_file, self.ca_file, self.profile)
+        if self.is_local and any(option is not None for option in of_others):
+            raise ValueError(
+                "model, space, token_file, ca_file and profile belong to a server elsewhere"
+            )
+        if self.model is not None and self.address is None:
+            raise ValueError("model belongs to address; the path of a url names it")
+        if self.token_file is not None and self.api_key_variable is not None:
+            raise ValueError("give token_file or api_key_variable, not both")
+        if self.address is not None and self.ca_file is not None and self.token_file is None:
+            raise ValueError("ca_file belongs to a token_file; with a link the keys are known")
+        return self
+
+    @model_validator(mode="after")
     def _fits_the_engine(self) -> Self:
-        if self.is_bare and self.profile == PLAIN:
-            raise ValueError("an engine serves none of RoboNeuron's rows; choose another profile")
+        if self.engine is not None and self.profile is None:
+            raise ValueError("an engine serves none of RoboNeuron's rows; choose a profile")
         if self.is_bare and self.normalisation is None:
             raise ValueError(
                 "an engine needs normalisation: a table with file and kind, or 'server'"
             )
         if not self.is_bare and self.normalisation is not None:
             raise ValueError("normalisation belongs to an engine")
-        return self
-
-    @model_validator(mode="after")
-    def _has_one_key(self) -> Self:
-        if self.api_key_file is not None and self.api_key_variable is not None:
-            raise ValueError("give api_key_file or api_key_variable, not both")
         return self

@@ -1,5 +1,5 @@
-"""Descriptors of this package: the backends `openpi` (policies served by others) and `shared` (a
-model of RoboNeuron's own server), and the commands that run servers.
+"""Descriptors of this package: the backends `openpi` and `shared`, two names of the client of a
+policy that is served elsewhere, and the commands that run servers.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ BACKEND = BackendSpec(
     name="openpi",
     summary="any policy served elsewhere over openpi's websocket, in every action space",
     target="rn_backend_openpi.backend:OpenpiBackend",
-    config="rn_backend_openpi.options:OpenpiOptions",
+    config="rn_backend_openpi.options:PolicyOptions",
     case="rn_backend_openpi.case:openpi_case",
     requires=_MODULES,
     cameras=("primary",),
     optional_cameras=("wrist", "right_wrist", "secondary"),
     needs_state=True,
     action_space=ActionSpace(horizon=MOST_ROWS, step_s=0.0),
-    space="rn_backend_openpi.space:openpi_space",
+    space="rn_backend_openpi.space:policy_space",
     verbs=PICK_AND_PLACE,
 )
 """Descriptor of the backend that asks any server."""
@@ -31,14 +31,14 @@ SHARED = BackendSpec(
     name="shared",
     summary="One model for several robots: another backend in a server process, on this machine or "
     "another, that answers in batches.",
-    target="rn_backend_openpi.shared_backend:SharedBackend",
-    config="rn_backend_openpi.shared_options:SharedOptions",
+    target="rn_backend_openpi.backend:PolicyBackend",
+    config="rn_backend_openpi.options:PolicyOptions",
     optional_cameras=("wrist", "left_wrist", "right_wrist", "side", "top", "front"),
     needs_state=True,
     action_space=ActionSpace(horizon=MOST_ROWS, step_s=0.0),
     conditions_on_rows=True,
-    case="rn_backend_openpi.shared_case:shared_case",
-    space="rn_backend_openpi.shared_space:shared_space",
+    case="rn_backend_openpi.case:policy_case",
+    space="rn_backend_openpi.space:policy_space",
     verbs=PICK_AND_PLACE,
 )
 """Descriptor of the backend of RoboNeuron's own server. The model's own requirements are checked

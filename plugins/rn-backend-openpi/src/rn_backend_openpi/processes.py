@@ -15,22 +15,20 @@ from pathlib import Path
 
 from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import InvalidHandshake
-from websockets.frames import CloseCode
 
-from rn_backend_openpi.fields import field, text
-from rn_backend_openpi.listener import CountedConnection, send
-from rn_backend_openpi.messages import RESERVED, Document, from_answer, raise_told
-from rn_backend_openpi.relay import carry, reach
+from rn_backend_openpi.description import FAILED, LOADING, READY
+from rn_backend_openpi.listener import CountedConnection
+from rn_backend_openpi.messages import Document, from_error, raise_told
+from rn_backend_openpi.relay import carry, reach, turn_away
+from rn_backend_openpi.server_options import ServedModelOptions
 from rn_backend_openpi.server_process import STAY
-from rn_backend_openpi.session import FAILED, LOADING, PROTOCOL, READY
-from rn_backend_openpi.shared_options import ServedModelOptions
 from rn_backend_openpi.status_page import page
-from rn_backend_openpi.wire import pack
 from roboneuron import (
     ConfigurationError,
     ForeignDataError,
     NotReadyError,
     RoboNeuronError,
+    foreign,
 )
 
 log = logging.getLogger(__name__)
@@ -98,11 +96,6 @@ class ModelProcess:
         if self._thread.ident is not None:
             self._thread.join(2 * _END_S)
 
-    def welcome(self) -> Document:
-        """First message to robots while the model is not ready."""
-        told: Document = {"protocol": PROTOCOL, "state": LOADING, "pid": 0}
-        return told if self._failure is None else {**told, "state": FAILED, **self._failure}
-
     async def relay(self, robot: ServerConnection, note: Callable[[float], None]) -> int:
         """Hand on the bytes of a robot and of the process until one of them disconnects; see
         `RelayedModel`.
@@ -110,8 +103,7 @@ class ModelProcess:
         try:
             there = await reach(self.path)
         except (OSError, InvalidHandshake):
-            await send(robot, pack({RESERVED: self.welcome()}))
-            await robot.close(CloseCode.TRY_AGAIN_LATER, "the model is not ready")
+            await turn_away(robot, self._failure)
             return 0
         async with there:
             assert isinstance(robot, CountedConnection)
@@ -143,7 +135,7 @@ class ModelProcess:
             except OSError as error:
                 log.error("The model %s cannot be started: %s", self.name, error)
                 refusal = NotReadyError(f"The model {self.name!r} cannot be started: {error}.")
-                self._failure = from_answer(refusal)[RESERVED]
+                self._failure = from_error(refusal)
             else:
                 self._watch(self._process)
             if self._end.is_set():
@@ -180,7 +172,9 @@ class ModelProcess:
             )
         assert process.stdin is not None
         try:
-            process.stdin.write(self._options.shared().model_dump_json(exclude_unset=True) + "\n")
+            process.stdin.write(
+                self._options.of_the_model().model_dump_json(exclude_unset=True) + "\n"
+            )
             process.stdin.flush()
         except BrokenPipeError:
             pass  # it has died already, which is detected next
@@ -214,7 +208,7 @@ class ModelProcess:
         """True if the process answers."""
         try:
             told = page(self.path, _GREET_S)
-            state = text(field(told, "state"), "state")
+            state = foreign.text(foreign.field(told, "state"), "state")
             failure = _failure(told)
         except (OSError, ForeignDataError):
             return False
@@ -234,6 +228,5 @@ def _failure(status: Document) -> Document | None:
     except ForeignDataError:
         raise
     except RoboNeuronError as error:
-        failure: Document = from_answer(error)[RESERVED]
-        return failure
+        return from_error(error)
     return None

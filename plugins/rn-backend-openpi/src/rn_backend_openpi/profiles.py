@@ -6,26 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from rn_backend_openpi.conventions import GripperValue
 from rn_backend_openpi.layout import Axes, Size
-from rn_backend_openpi.rows import ONE_ARM, JointKind
+from rn_backend_openpi.rows import JointKind, JointRows
 from rn_vla.tcp_profiles import PROFILES
 from rn_vla.tcp_state import StateTerm
 
 TWO_ARMS = ("left", "right")
 Keys = Mapping[str, tuple[StateTerm, ...]]
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class JointMeaning:
-    """Rows of joints and grippers; see `JointRows`."""
-
-    kind: JointKind
-    rate_hz: float
-    gripper: GripperValue
-    arms: tuple[str, ...] = ONE_ARM
-    limit: float = 0.0
-    scale: float = 1.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -35,7 +22,7 @@ class Preset:
     Attributes:
         images: key by camera role.
         state: terms by key.
-        rows: joint rows; None for those of the TCP profile of the same name in
+        rows: joint rows, without names; None for those of the TCP profile of the same name in
             `rn_vla.tcp_profiles`.
         size_px: height and width of the images.
         axes: order of the images' axes.
@@ -45,7 +32,7 @@ class Preset:
 
     images: Mapping[str, str]
     state: Keys
-    rows: JointMeaning | None = None
+    rows: JointRows | None = None
     size_px: Size = (224, 224)
     axes: Axes = "hwc"
     optional: frozenset[str] = frozenset()
@@ -91,10 +78,8 @@ def _tcp_state(name: str) -> Keys:
     return MappingProxyType({"observation/state": PROFILES[name].state.terms})
 
 
-def _droid(kind: JointKind, *, limit: float = 0.0, scale: float = 1.0) -> JointMeaning:
-    return JointMeaning(
-        kind=kind, rate_hz=15.0, gripper="closed_fraction", limit=limit, scale=scale
-    )
+def _droid(kind: JointKind, *, limit: float = 0.0, scale: float = 1.0) -> JointRows:
+    return JointRows(kind=kind, rate_hz=15.0, gripper="closed_fraction", limit=limit, scale=scale)
 
 
 PRESETS: Mapping[str, Preset] = MappingProxyType(
@@ -123,19 +108,19 @@ PRESETS: Mapping[str, Preset] = MappingProxyType(
         "franka": Preset(
             images=_LIBERO_IMAGES,
             state=_STATE,
-            rows=JointMeaning(kind="joint_position", rate_hz=20.0, gripper="closed_fraction"),
+            rows=JointRows(kind="joint_position", rate_hz=20.0, gripper="closed_fraction"),
             joints=7,
         ),
         "ur5e": Preset(
             images=MappingProxyType({"primary": "base_rgb", "wrist": "wrist_rgb"}),
             state=MappingProxyType({"joints": ("joints",), "gripper": ("gripper_closed",)}),
-            rows=JointMeaning(kind="joint_position", rate_hz=20.0, gripper="closed_fraction"),
+            rows=JointRows(kind="joint_position", rate_hz=20.0, gripper="closed_fraction"),
             joints=6,
         ),
         "aloha": Preset(
             images=_ALOHA_IMAGES,
             state=MappingProxyType({"state": ("joints", "gripper_open")}),
-            rows=JointMeaning(
+            rows=JointRows(
                 kind="joint_position", rate_hz=50.0, gripper="open_fraction", arms=TWO_ARMS
             ),
             axes="chw",

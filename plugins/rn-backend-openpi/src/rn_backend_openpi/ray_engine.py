@@ -16,12 +16,13 @@ from typing import TYPE_CHECKING, Any
 from websockets.asyncio.server import ServerConnection
 from websockets.frames import CloseCode
 
+from rn_backend_openpi.description import FAILED, LOADING, READY
 from rn_backend_openpi.front import MakeModel
 from rn_backend_openpi.listener import send
-from rn_backend_openpi.messages import RESERVED, Document, from_answer
-from rn_backend_openpi.session import FAILED, LOADING, PROTOCOL, READY
-from rn_backend_openpi.shared_options import RayOptions, ServedModelOptions
-from rn_backend_openpi.wire import pack, unpack
+from rn_backend_openpi.messages import RESERVED, Document, from_error
+from rn_backend_openpi.relay import turn_away
+from rn_backend_openpi.server_options import RayOptions, ServedModelOptions
+from rn_backend_openpi.wire import unpack
 from roboneuron import (
     BackendSpec,
     ConfigurationError,
@@ -110,6 +111,7 @@ class RayModel:
             )
         self.name = name
         self._options = options
+        assert options.backend is not None
         spec = registry.get(BackendSpec, options.backend)
         self._remembers = spec.conditions_on_rows
         self._application = application
@@ -151,9 +153,7 @@ class RayModel:
         """Answer a robot until it disconnects; returns the number of lost observations."""
         handle = self._handle
         if handle is None:
-            told: Document = {"protocol": PROTOCOL, "state": self.state, "pid": 0}
-            await send(robot, pack({RESERVED: {**told, **(self._failure or {})}}))
-            await robot.close(CloseCode.TRY_AGAIN_LATER, "the model is not ready")
+            await turn_away(robot, self._failure)
             return 0
         line = _RobotLine(robot, handle, note, self._remembers)
         await line.run()
@@ -165,13 +165,13 @@ class RayModel:
         from rn_backend_openpi.ray_replica import PolicyReplica
 
         replicas = serve.deployment(**self._settings())(PolicyReplica)
-        application = replicas.bind(self._options.shared().model_dump(exclude_unset=True))
+        application = replicas.bind(self._options.of_the_model().model_dump(exclude_unset=True))
         try:
             self._handle = serve.run(application, name=self._application, route_prefix=None)
         except RuntimeError as error:  # the replicas could not load the model
             log.error("The model %s is not served: %s", self.name, error)
             refusal = NotReadyError(f"No replica of the model {self.name!r} was started: {error}")
-            self._failure = from_answer(refusal)[RESERVED]
+            self._failure = from_error(refusal)
 
     def _settings(self) -> dict[str, Any]:
         own = self._options

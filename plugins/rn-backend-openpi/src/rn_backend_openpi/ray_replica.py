@@ -7,10 +7,9 @@ from collections import OrderedDict
 from collections.abc import Mapping
 from pathlib import Path
 
-from rn_backend_openpi.conversations import PolicyRequest, answered, told_of
-from rn_backend_openpi.model_conversation import ModelConversation
+from rn_backend_openpi.conversation import Conversation, PolicyRequest, answered, told_of
 from rn_backend_openpi.model_server import SharedModelServer
-from rn_backend_openpi.shared_options import SharedOptions
+from rn_backend_openpi.options import ModelOptions
 from rn_backend_openpi.wire import pack
 from roboneuron import RoboNeuronError
 
@@ -22,17 +21,17 @@ class PolicyReplica:
     """Loads the model and answers requests of any robot, several at once.
 
     Args:
-        options: options of the model, those of `SharedOptions` that are set.
+        options: those of the model that are set.
 
     Raises:
         RoboNeuronError: the model cannot be loaded; Ray Serve reports it.
     """
 
     def __init__(self, options: Mapping[str, object]) -> None:
-        self._robots: OrderedDict[str, ModelConversation] = OrderedDict()
+        self._robots: OrderedDict[str, Conversation] = OrderedDict()
         # it opens no socket: the requests come by Ray
         self._served = SharedModelServer(
-            SharedOptions.model_validate(options), Path(os.devnull), None
+            ModelOptions.model_validate(options), Path(os.devnull), None
         )
         self._served.load()
 
@@ -51,7 +50,7 @@ class PolicyReplica:
         Returns:
             The answer, or the text of an error after which the robot is disconnected.
         """
-        conversation = self._robots.pop(robot, None) or ModelConversation(self._served)
+        conversation = self._robots.pop(robot, None) or Conversation(self._served)
         self._robots[robot] = conversation
         if len(self._robots) > _MOST_ROBOTS:
             self._robots.popitem(last=False)

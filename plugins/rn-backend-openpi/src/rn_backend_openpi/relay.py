@@ -10,12 +10,15 @@ from pathlib import Path
 
 from websockets import frames
 from websockets.asyncio.client import unix_connect
+from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import ConnectionClosed
 from websockets.frames import CloseCode
 from websockets.protocol import State
 
+from rn_backend_openpi.description import FAILED, LOADING, PROTOCOL
 from rn_backend_openpi.listener import CountedConnection, PipedClient, send
-from rn_backend_openpi.wire import MOST_BYTES
+from rn_backend_openpi.messages import RESERVED, Document
+from rn_backend_openpi.wire import MOST_BYTES, pack
 
 log = logging.getLogger(__name__)
 _REACH_S = 2.0
@@ -71,6 +74,16 @@ async def reach(path: Path) -> PipedClient:
     )
     assert isinstance(reached, PipedClient)
     return reached
+
+
+async def turn_away(robot: ServerConnection, failure: Document | None) -> None:
+    """Tell a robot that its model is loading or has failed, in place of its server's first
+    message, and disconnect it.
+    """
+    state = LOADING if failure is None else FAILED
+    own = {"protocol": PROTOCOL, "state": state, "pid": 0, **(failure or {})}
+    await send(robot, pack({RESERVED: own}))
+    await robot.close(CloseCode.TRY_AGAIN_LATER, "the model is not ready")
 
 
 async def carry(

@@ -44,7 +44,7 @@ class Rows(Protocol):
 
     @property
     def step_s(self) -> float:
-        """Time between two rows [s]; 0 if each answer gives it."""
+        """Time between two rows [s]."""
 
     @property
     def width(self) -> int:
@@ -60,24 +60,6 @@ class Rows(Protocol):
 
     def from_contract(self, rows: F64, observation: Observation) -> F64:
         """The inverse of `to_contract`, except for clipped values; raises the same errors."""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class PlainRows:
-    """Rows in the contract's own form, bit-identical in float64."""
-
-    space: ControlSpace
-    step_s: float = 0.0
-
-    @property
-    def width(self) -> int:
-        return self.space.size
-
-    def to_contract(self, served: F64, observation: Observation) -> F64:
-        return served
-
-    def from_contract(self, rows: F64, observation: Observation) -> F64:
-        return rows
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -140,7 +122,7 @@ class PoseRows:
     def space(self) -> ControlSpace:
         return ControlSpace(
             kind="ee_pose",
-            channels=pose_channels(self.arms, has_gripper=self.gripper != "none"),
+            channels=_pose_channels(self.arms, has_gripper=self.gripper != "none"),
             rate_hz=self.rate_hz,
         )
 
@@ -190,33 +172,27 @@ class JointRows:
     Attributes:
         kind: "joint_position" [rad], "joint_velocity" [rad/s], "joint_delta" [rad] relative to the
             joints measured with the observation; the gripper is absolute in each.
-        names: the robot's names of the policy's joints, in the policy's order.
+        names: the robot's names of the policy's joints, in the policy's order; empty in a preset.
         gripper: as of `PoseRows`.
         rate_hz: rows per second.
         arms: as of `PoseRows`; each has the same number of joints.
         limit: joint values are clipped to -limit..limit; 0 for none.
         scale: contract units (rad, rad/s) per unit of a joint value.
-
-    Raises:
-        ConfigurationError: the names do not match the arms.
     """
 
     kind: JointKind
-    names: tuple[str, ...]
     gripper: GripperValue
     rate_hz: float
+    names: tuple[str, ...] = ()
     arms: tuple[str, ...] = ONE_ARM
     limit: float = 0.0
     scale: float = 1.0
-
-    def __post_init__(self) -> None:
-        joints_by_arm(self.names, self.arms)
 
     @property
     def space(self) -> ControlSpace:
         return ControlSpace(
             kind=self.kind,
-            channels=joint_channels(
+            channels=_joint_channels(
                 self.kind, self.names, self.arms, has_gripper=self.gripper != "none"
             ),
             rate_hz=self.rate_hz,
@@ -268,32 +244,20 @@ def joints_by_arm(names: tuple[str, ...], arms: tuple[str, ...]) -> dict[str, tu
     return {arm: names[i * each : (i + 1) * each] for i, arm in enumerate(arms)}
 
 
-def joint_channels(
-    kind: str,
-    names: tuple[str, ...],
-    arms: tuple[str, ...],
-    *,
-    has_gripper: bool,
-    slides: tuple[str, ...] = (),
+def _joint_channels(
+    kind: str, names: tuple[str, ...], arms: tuple[str, ...], *, has_gripper: bool
 ) -> tuple[Channel, ...]:
-    """Channels of joints and gripper of each arm in turn. Raises as `joints_by_arm`.
-
-    Args:
-        slides: names of the prismatic joints.
-    """
-    per_s = "/s" if kind == "joint_velocity" else ""
+    """Channels of joints and gripper of each arm in turn. Raises as `joints_by_arm`."""
+    unit = "rad/s" if kind == "joint_velocity" else "rad"
     channels: list[Channel] = []
     for arm, part in joints_by_arm(names, arms).items():
-        channels += [
-            Channel(name=name, unit=("m" if name in slides else "rad") + per_s, arm=arm)
-            for name in part
-        ]
+        channels += [Channel(name=name, unit=unit, arm=arm) for name in part]
         if has_gripper:
             channels.append(Channel(name=GRIPPER, unit="opening", arm=arm))
     return tuple(channels)
 
 
-def pose_channels(arms: tuple[str, ...], *, has_gripper: bool) -> tuple[Channel, ...]:
+def _pose_channels(arms: tuple[str, ...], *, has_gripper: bool) -> tuple[Channel, ...]:
     """Channels of the pose and gripper of each arm in turn."""
     channels: list[Channel] = []
     for arm in arms:

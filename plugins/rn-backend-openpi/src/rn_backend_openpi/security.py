@@ -19,7 +19,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 from urllib.parse import urlsplit
 
-from rn_backend_openpi.shared_options import ListenOptions, SharedOptions
+from rn_backend_openpi.engines import url_of
+from rn_backend_openpi.options import PolicyOptions
+from rn_backend_openpi.server_options import ListenOptions
 from roboneuron import ConfigurationError, MissingDependencyError, install_command
 
 if TYPE_CHECKING:
@@ -37,15 +39,19 @@ class ServerAddress(NamedTuple):
     """A server that a robot connects to.
 
     Attributes:
-        host, port: its address.
-        context: None for an unencrypted connection over loopback.
+        url: its address, "ws://host:port/path".
+        host, port: the same.
+        context: None for an unencrypted connection.
         token: token that the robot sends; empty with keys.
+        warning: about a connection that others can read; empty for none.
     """
 
+    url: str
     host: str
     port: int
     context: ssl.SSLContext | None
-    token: str
+    token: str = ""
+    warning: str = ""
 
 
 def is_loopback(host: str) -> bool:
@@ -107,57 +113,78 @@ def is_same_token(one: str, other: str) -> bool:
     return hmac.compare_digest(first, second)
 
 
-def check_url(url: str, *, has_key: bool, allow_insecure_key: bool) -> str:
-    """Return a warning about `url`; empty for none.
+def has_link_keys(options: PolicyOptions) -> bool:
+    """True if the connection uses the keys of `roboneuron link`."""
+    return options.address is not None and not (options.token_file or options.api_key_variable)
+
+
+def place_of(options: PolicyOptions) -> ServerAddress:
+    """Address and TLS context of a robot's server at a URL or an address.
 
     Raises:
-        ConfigurationError: it has no host or holds a password, or a key would be sent unencrypted.
+        ConfigurationError: the URL has no host or holds a password, the machines are not paired, or
+            a token would be sent unencrypted.
+        MissingDependencyError: rn-link is not installed.
     """
+    if has_link_keys(options):
+        return _linked_place(options)
+    url, token = url_of(options), _token_of(options)
     try:
         parts = urlsplit(url)
-        host, _ = parts.hostname, parts.port
+        host, port = parts.hostname, parts.port
     except ValueError as error:
         raise ConfigurationError(f"The option 'url' cannot be read: {error}.") from error
     if not host or parts.username is not None:
         raise ConfigurationError(
             "The option 'url' must name a host and hold no user or password.",
-            hint="A key goes into api_key_file.",
+            hint="A key goes into token_file.",
         )
-    if parts.scheme == "wss" or is_loopback(host):
-        return ""
-    if has_key and not allow_insecure_key:
+    if parts.scheme == "wss":
+        return ServerAddress(url, host, port or 443, _client_context(options), token)
+    place = ServerAddress(url, host, port or 80, None, token)
+    if is_loopback(host):
+        return place
+    if token and not options.allow_insecure_key:
         raise ConfigurationError(
-            f"The API key would travel unencrypted to {host}.",
-            hint="Use wss://, a tunnel, or allow_insecure_key = true.",
+            f"A token is not sent unencrypted to {host}.",
+            hint="Use wss:// or ca_file, a tunnel, or allow_insecure_key = true. Of `roboneuron "
+            f"serve-policy`: {_PAIR}",
         )
-    return (
-        f"the connection to {host} is not encrypted: anyone on the path can read the images and "
-        "change the robot's actions; use wss:// or a tunnel"
+    return place._replace(
+        warning=f"the connection to {host} is not encrypted: anyone on the path can read the "
+        "images and change the robot's actions; use wss:// or a tunnel"
     )
 
 
-def place_of(options: SharedOptions) -> ServerAddress:
-    """Address and TLS context of a robot's server.
-
-    Raises:
-        ConfigurationError: the machines are not paired, or a token would be sent unencrypted.
-        MissingDependencyError: rn-link is not installed.
-    """
-    assert options.address is not None
-    host, _, port = options.address.rpartition(":")
-    if options.token_file is None:
-        return _linked_place(host, int(port))
-    token = read_token(options.token_file)
-    if options.ca is not None:
-        context = _context(ssl.PROTOCOL_TLS_CLIENT)
-        context.check_hostname = False  # the authority in the file issues only for this server
-        return ServerAddress(host, int(port), trusting(context, options.ca), token)
-    if not is_loopback(host):
+def _token_of(options: PolicyOptions) -> str:
+    """The token of the options; empty for none. Raises ConfigurationError."""
+    if options.token_file is not None:
+        return read_token(options.token_file)
+    if options.api_key_variable is None:
+        return ""
+    key = os.environ.get(options.api_key_variable, "").strip()
+    if not key:
         raise ConfigurationError(
-            f"A token is not sent unencrypted to {host}.",
-            hint=f"Name the server's certificate with `ca`. Better: {_PAIR}",
+            f"The environment variable {options.api_key_variable!r} (api_key_variable) is not set.",
+            hint="Set it, or name a file with token_file.",
         )
-    return ServerAddress(host, int(port), None, token)
+    return key
+
+
+def _client_context(options: PolicyOptions) -> ssl.SSLContext:
+    """Trust in the authority that the options name, or in the system's. Raises ConfigurationError
+    if its file holds no certificate.
+    """
+    try:
+        context = ssl.create_default_context(cafile=options.ca_file)
+    except OSError as error:
+        raise ConfigurationError(
+            f"{options.ca_file} holds no certificate: {error}.",
+            hint="ca_file is a PEM file.",
+        ) from error
+    # an address has no name that a certificate could hold: the file is that of its issuer alone
+    context.check_hostname = options.address is None
+    return context
 
 
 def link_stamps() -> Sequence[object]:
@@ -177,7 +204,9 @@ def _stamp(path: Path) -> int:
     return 0
 
 
-def _linked_place(host: str, port: int) -> ServerAddress:
+def _linked_place(options: PolicyOptions) -> ServerAddress:
+    assert options.address is not None
+    host, _, port = options.address.rpartition(":")
     folder, machine = _link()
     from rn_link.tls import tls_context
 
@@ -193,7 +222,7 @@ def _linked_place(host: str, port: int) -> ServerAddress:
         context = tls_context(machine, folder, found[0])
     except OSError as error:
         raise ConfigurationError(f"The keys of the link cannot be used: {error}.") from error
-    return ServerAddress(machine.peers[found[0]].address, port, context, "")
+    return ServerAddress(url_of(options), machine.peers[found[0]].address, int(port), context)
 
 
 def _link() -> tuple[Path, Machine]:
@@ -219,18 +248,6 @@ def _link() -> tuple[Path, Machine]:
 def _context(protocol: int) -> ssl.SSLContext:
     context = ssl.SSLContext(protocol)
     context.minimum_version = ssl.TLSVersion.TLSv1_3
-    return context
-
-
-def trusting(context: ssl.SSLContext, ca: Path | None) -> ssl.SSLContext:
-    """The context, which also trusts the authorities of a PEM file. Raises ConfigurationError if it
-    holds no certificate.
-    """
-    if ca is not None:
-        try:
-            context.load_verify_locations(ca)
-        except OSError as error:
-            raise ConfigurationError(f"{ca} holds no certificate: {error}.") from error
     return context
 
 

@@ -21,7 +21,7 @@ from roboneuron import ConfigurationError
 if TYPE_CHECKING:
     from rn_backend_openpi.front import MakeModel
     from rn_backend_openpi.messages import Document
-    from rn_backend_openpi.shared_options import PolicyServerOptions
+    from rn_backend_openpi.server_options import PolicyServerOptions
 
 _COLUMNS = (
     ("model", "name"),
@@ -148,10 +148,6 @@ def read_options(arguments: Namespace) -> PolicyServerOptions:
     Raises:
         ConfigurationError: the file cannot be read, or is invalid.
     """
-    from rn_backend_openpi.plugin import SERVE_COMMAND
-    from rn_backend_openpi.shared_options import PolicyServerOptions
-    from roboneuron.command import loading
-
     path: Path = arguments.config
     try:
         tables = tomllib.loads(path.read_text(encoding="utf-8"))
@@ -165,10 +161,21 @@ def read_options(arguments: Namespace) -> PolicyServerOptions:
     if isinstance(listen, dict):
         chosen = {key: value for key, value in given.items() if value is not None}
         tables["listen"] = {**listen, **chosen}
+    return options_of(tables, path.name)
+
+
+def options_of(tables: dict[str, object], section: str) -> PolicyServerOptions:
+    """The options in the tables of a server's file. Raises ConfigurationError, naming the section
+    and the option.
+    """
+    from rn_backend_openpi.plugin import SERVE_COMMAND
+    from rn_backend_openpi.server_options import PolicyServerOptions
+    from roboneuron.command import loading
+
     described = replace(
-        SERVE_COMMAND, config="rn_backend_openpi.shared_options:PolicyServerOptions"
+        SERVE_COMMAND, config="rn_backend_openpi.server_options:PolicyServerOptions"
     )
-    options = loading.load_options(described, tables, section=path.name)
+    options = loading.load_options(described, tables, section=section)
     assert isinstance(options, PolicyServerOptions)
     return options
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import IO
 
 from rn_backend_openpi.model_server import SharedModelServer
-from rn_backend_openpi.shared_options import SharedOptions
+from rn_backend_openpi.options import ModelOptions
 from roboneuron.command import HangWatch
 
 log = logging.getLogger(__name__)
@@ -19,7 +19,7 @@ STAY = "--stay"
 
 
 def serve(
-    options: SharedOptions, path: Path, idle_s: float | None, parent: IO[str] | None = None
+    options: ModelOptions, path: Path, idle_s: float | None, parent: IO[str] | None = None
 ) -> int:
     """Run a server in this process until SIGTERM or SIGINT, or the end of a parent's pipe."""
     server = SharedModelServer(options, path, idle_s)
@@ -38,13 +38,13 @@ def serve(
 
 
 def main(source: IO[str] = sys.stdin, arguments: list[str] = sys.argv[1:]) -> int:
-    """Run a server in the background: options as JSON in the first line of stdin, path of the
-    socket as argument.
+    """Run a server in the background: options as JSON in the first line of stdin; `idle_s` and the
+    path of the socket as arguments.
 
-    The started process returns at once; the server continues in a new session. With `--stay` the
-    process itself serves, until stdin ends.
+    The started process returns at once; the server continues in a new session. With `--stay`
+    instead of `idle_s` the process itself serves, until stdin ends.
     """
-    options, path = SharedOptions.model_validate_json(source.readline()), Path(arguments[-1])
+    options, path = ModelOptions.model_validate_json(source.readline()), Path(arguments[-1])
     stays = arguments[0] == STAY
     if not stays:
         if os.fork():
@@ -55,7 +55,7 @@ def main(source: IO[str] = sys.stdin, arguments: list[str] = sys.argv[1:]) -> in
             for number in (1, 2):
                 os.dup2(output.fileno(), number)
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s")
-    idle_s, parent, code = (None, source, 1) if stays else (options.idle_s, None, 1)
+    idle_s, parent, code = (None, source, 1) if stays else (float(arguments[0]), None, 1)
     try:
         code = serve(options, path, idle_s, parent)
     except Exception:  # the process would end silently

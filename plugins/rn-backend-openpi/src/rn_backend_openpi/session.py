@@ -1,171 +1,83 @@
-"""A robot's conversation with a server whose model is ready: one request at a time."""
+"""A robot's conversation over one connection to a server that is ready: one request at a time."""
 
 from __future__ import annotations
 
+import logging
 import time
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
-from rn_backend_openpi import fields, messages
+import numpy as np
+from numpy.typing import NDArray
+
+from rn_backend_openpi import messages
 from rn_backend_openpi.connection import PolicyConnection
-from rn_backend_openpi.images import Rectangle
+from rn_backend_openpi.description import ServerDescription
 from rn_backend_openpi.messages import RESERVED, Document
-from rn_backend_openpi.wire import pack, unpack
-from roboneuron import (
-    MAX_SIDE_PX,
-    ActionChunk,
-    ConfigurationError,
-    ControlSpace,
-    ForeignDataError,
-    NotReadyError,
-    RoboNeuronError,
-)
+from rn_backend_openpi.wire import Value, pack, unpack
+from roboneuron import ActionChunk, ForeignDataError, foreign
 
-PROTOCOL = 1
-"""Version of the entries at `RESERVED`."""
-LOADING, READY, FAILED = "loading", "ready", "failed"
-"""States of a server."""
+Reply = dict[object, object] | NDArray[np.generic]
+Request = dict[str, Value]
 _MOST_OPEN = 64
 """Number of unanswered requests after which a connection is given up."""
+_SHOWN = 300
+_RESET_DONE = "reset successful"
+"""Reply to a reset. Source: roboarena policy_server.py."""
+log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Welcome:
-    """What a server's first message, or its answer to an introduction, has at `RESERVED`.
-
-    Attributes:
-        state: `LOADING`, `READY` or `FAILED`.
-        pid: pid of its process.
-        cameras: roles that the model needs.
-        optional_cameras: roles that it uses if present.
-        image_sizes: width and height [px], by role, to which the model itself shrinks images.
-        crops: the part of a whole image that the server uses, by role.
-        continues: chunks continue rows with a context that the server holds.
-        horizon, step_s: rows of a chunk, and time between two [s], as declared by its backend.
-        most_committed: see `BackendSpec.max_committed_rows`.
-        takes_predicted_state: see `BackendSpec`.
-        space: control space of its chunks on the introduced robot; None without an introduction.
-        refusal: error if that robot cannot use it, as a document.
-        failure: error if it failed, as a document; None in other states.
-        number: number before that of the robot's first request; random for each connection, so
-            that a request is valid on one connection only.
-    """
-
-    state: str
-    pid: int
-    cameras: tuple[str, ...] = ()
-    optional_cameras: tuple[str, ...] = ()
-    image_sizes: Mapping[str, tuple[int, int]] = field(default_factory=dict)
-    crops: Mapping[str, Rectangle] = field(default_factory=dict)
-    continues: bool = False
-    horizon: int = 1
-    step_s: float = 0.0
-    most_committed: int = 0
-    takes_predicted_state: bool = False
-    space: ControlSpace | None = None
-    refusal: Document | None = None
-    failure: Document | None = None
-    number: int = 0
-
-    @classmethod
-    def of(cls, document: Document) -> Welcome:
-        """Parse a received message.
-
-        Raises:
-            ConfigurationError: the server is of another version, or of another kind.
-            ForeignDataError: a field is malformed.
-        """
-        if RESERVED not in document:
-            raise ConfigurationError(
-                "The server is none of `roboneuron serve-policy`.",
-                hint="The backend 'openpi' uses other servers of openpi's websocket.",
-            )
-        own = fields.table(document[RESERVED], RESERVED)
-        if own.get("protocol") != PROTOCOL:
-            raise ConfigurationError(
-                f"The server uses version {own.get('protocol')!r} of RoboNeuron's entries, this "
-                f"robot version {PROTOCOL}.",
-                hint="Install the same release on both machines.",
-            )
-        space, refusal = own.get("space"), own.get("refusal")
-        crops = fields.table(own.get("crops", {}), "crops", 16)
-        sizes = fields.table(own.get("image_sizes", {}), "image sizes", 16)
-        return cls(
-            state=fields.text(fields.field(own, "state"), "state"),
-            pid=fields.integer(fields.field(own, "pid"), "pid", 0),
-            cameras=_roles(own, "cameras"),
-            optional_cameras=_roles(own, "optional_cameras"),
-            image_sizes={role: _size(size) for role, size in sizes.items()},
-            crops={role: _rectangle(one) for role, one in crops.items()},
-            continues=fields.truth(own.get("continues", False), "continues"),
-            horizon=fields.integer(own.get("horizon", 1), "horizon", 1, messages.MOST_ROWS),
-            step_s=fields.number(own.get("step_s", 0.0), "step_s", 0.0),
-            most_committed=fields.integer(own.get("most_committed", 0), "most_committed", 0),
-            takes_predicted_state=fields.truth(own.get("takes_state", False), "takes_state"),
-            space=None if space is None else _space(space),
-            refusal=None if refusal is None else fields.table(refusal, "a refusal", 8),
-            failure=own if "error" in own else None,
-            number=fields.integer(own.get("number", 0), "number", 0),
-        )
-
-
-def _roles(document: Document, name: str) -> tuple[str, ...]:
-    roles = fields.items(document.get(name, []), name, most=16)
-    return tuple(fields.text(role, "a role", 64) for role in roles)
-
-
-def _rectangle(value: object) -> Rectangle:
-    left, top, *size = fields.items(value, "a crop", most=4, least=4)
-    most = MAX_SIDE_PX
-    found = fields.integer(left, "left", 0, most), fields.integer(top, "top", 0, most)
-    return *found, *_size(size)
-
-
-def _space(value: object) -> ControlSpace:
-    try:
-        return messages.to_space(value)
-    except RoboNeuronError as error:
-        raise ForeignDataError(f"the server sent an invalid control space: {error}") from error
-
-
-def _size(value: object) -> tuple[int, int]:
-    width, height = fields.items(value, "an image size", most=2, least=2)
-    most = MAX_SIDE_PX
-    return fields.integer(width, "a width", 1, most), fields.integer(height, "a height", 1, most)
-
-
-def receive(connection: PolicyConnection, deadline_s: float) -> Document:
-    """The next message, a map.
+def receive(connection: PolicyConnection, deadline_s: float) -> Reply:
+    """The next message.
 
     Raises:
         TimeoutError: none until the deadline (monotonic [s]).
         OSError: the server is gone.
-        ForeignDataError: it sent something else.
+        ForeignDataError: it sent something else, or the text of a failure, whose last line is
+            shown and whose whole text is logged.
     """
     data = connection.receive(deadline_s)
     if isinstance(data, str):
-        raise ForeignDataError(f"the server reported a failure: {data.strip()[:300]}")
-    return fields.table(unpack(data), "a message")
+        if data == _RESET_DONE:
+            return {}
+        raise _failure(data)
+    reply = unpack(data)
+    # SGLang tells an error by its traceback alone, vLLM-Omni by a type and a message
+    if isinstance(reply, dict) and (reply.get("type") == "error" or "error" in reply):
+        raise _failure(str(reply.get("message") or reply.get("error")))
+    return reply
 
 
-class ModelSession:
+def _failure(told: str) -> ForeignDataError:
+    log.warning("The policy server failed:\n%s", told)
+    lines = told.strip().splitlines() or ["no text"]
+    return ForeignDataError(f"it reported a failure: {lines[-1][:_SHOWN]}")
+
+
+class PolicySession:
     """Sends requests over one connection; used from one thread, except `close`.
 
     Args:
         connection: to a server that is ready.
-        welcome: its first message.
+        description: its first message.
         base_s: time of a round trip of almost no data [s].
     """
 
-    def __init__(self, connection: PolicyConnection, welcome: Welcome, base_s: float = 0.0) -> None:
+    def __init__(
+        self, connection: PolicyConnection, description: ServerDescription, base_s: float = 0.0
+    ) -> None:
         self._connection = connection
-        self._number = welcome.number
+        self._number = description.number
         self._open: dict[int, int] = {}  # clock_ns of each unanswered request
-        self.welcome = welcome
+        self.description = description
         self.base_s = base_s
 
+    @property
+    def is_open(self) -> bool:
+        """False if the server is gone, or has closed the connection, as some do when idle."""
+        return self._connection.is_open
+
     def ask(self, observation: Document, deadline_s: float) -> ActionChunk:
-        """Request the answer to an observation; its metrics split the round-trip time.
+        """Request the answer of our server; its metrics split the round-trip time.
 
         Raises:
             TimeoutError: no answer by the deadline (monotonic [s]); the next request may follow.
@@ -174,7 +86,7 @@ class ModelSession:
             RoboNeuronError: the server's error for this observation.
         """
         began_ns = time.monotonic_ns()
-        chunk = messages.to_answer(self._exchange(observation, deadline_s))
+        chunk = messages.to_answer(self._numbered(observation, deadline_s))
         round_trip_ms = (time.monotonic_ns() - began_ns) / 1e6
         inside_ms = sum(chunk.metrics.get(f"shared.{part}_ms", 0.0) for part in ("queue", "model"))
         own = {
@@ -183,16 +95,30 @@ class ModelSession:
         }
         return replace(chunk, metrics={**chunk.metrics, **own})
 
-    def introduce(self, robot: Document, timeout_s: float) -> Welcome:
-        """The server's description of its model for a robot, see `from_profile`.
-
-        Raises:
-            OSError, ForeignDataError, ConfigurationError: as `ask` and `Welcome.of`.
+    def introduce(self, robot: Document, timeout_s: float) -> ServerDescription:
+        """Our server's description of its model for a robot, see `from_profile`. Raises as `ask`
+        and `ServerDescription.of`.
         """
         request = {RESERVED: {"robot": robot}}
-        return Welcome.of(self._exchange(request, time.monotonic() + timeout_s))
+        told = self._numbered(request, time.monotonic() + timeout_s)
+        return ServerDescription.of(told)
 
-    def _exchange(self, request: Document, deadline_s: float) -> Document:
+    def exchange(self, request: Request, deadline_s: float) -> Reply:
+        """The reply of any server of openpi's websocket. It has no number, so that a late one
+        would be taken for the next: the connection is of no more use after an error.
+
+        Raises:
+            TimeoutError, OSError, ForeignDataError: as `ask`.
+        """
+        if self._connection.has_message():
+            raise ConnectionAbortedError("the server sent an answer without a request")
+        if self.description.is_ours:
+            own = {"left_s": max(deadline_s - time.monotonic(), 0.0)}
+            request = {**request, RESERVED: own}
+        self._connection.send(pack(request), deadline_s)
+        return receive(self._connection, deadline_s)
+
+    def _numbered(self, request: Document, deadline_s: float) -> Document:
         """The answer to a request. Each request is answered once: late answers to earlier requests
         are dropped, all others end the connection.
         """
@@ -209,10 +135,10 @@ class ModelSession:
         self._number = number
         self._open[number] = clock_ns
         while True:
-            answer = receive(self._connection, deadline_s)
-            told = fields.table(fields.field(answer, RESERVED), RESERVED)
-            found = fields.integer(fields.field(told, "number"), "number")
-            if self._open.pop(found, None) != fields.field(told, "clock_ns"):
+            answer = foreign.table(receive(self._connection, deadline_s), "a message")
+            told = foreign.table(foreign.field(answer, RESERVED), RESERVED)
+            found = foreign.integer(foreign.field(told, "number"), "number")
+            if self._open.pop(found, None) != foreign.field(told, "clock_ns"):
                 raise ForeignDataError(
                     f"answer {found} was replayed: it has no request on this connection"
                 )
@@ -222,15 +148,3 @@ class ModelSession:
     def close(self) -> None:
         """Disconnect; idempotent."""
         self._connection.close()
-
-
-class ModelLoadingError(NotReadyError):
-    """The model of the server is being loaded."""
-
-
-def check_ready(welcome: Welcome) -> None:
-    """Raise the error of a server that failed, or ModelLoadingError if it is not ready yet."""
-    if welcome.failure is not None:
-        messages.raise_told(welcome.failure)
-    if welcome.state != READY:
-        raise ModelLoadingError("The shared model is being loaded.")

@@ -1,53 +1,157 @@
-"""Conversion of a robot's measured state to the entries of a request, and back."""
+"""The robot's measured state as entries of a request: complete and by name between RoboNeuron's
+client and server, or as vectors of a profile's terms.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Protocol
 
 import numpy as np
 
-from rn_backend_openpi.whole_state import Measured, checked_unit, vector_of
 from rn_backend_openpi.wire import Value
 from rn_vla.rotation import DOWN_ROTVEC_RAD, F64, matrix_from_rpy
 from rn_vla.tcp_state import StateLayout, StateTerm
 from roboneuron import (
     ArmState,
+    InvalidInputError,
     JointSample,
     Observation,
     Pose,
     UngroundedError,
+    UnsafeError,
     matrix_from_rotvec,
     quaternion_from_matrix,
 )
 
+_MOST_JOINTS = 256
+_ROUNDED = 1e-3
+"""Tolerance of a quaternion's length, for rounding to float32 or a few decimals."""
+_NAMES, _POSITION = "observation/joint_names", "observation/joint_position"
+_VELOCITY = "observation/joint_velocity"
+_POSE, _GRIPPER = "ee_pose", "gripper_open"
+_PREFIX = "observation/"
 
-class StateCodec(Protocol):
-    """Encoding of the measured state in one profile."""
 
-    @property
-    def keys(self) -> tuple[str, ...]:
-        """Required keys of a request."""
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Measured:
+    """The robot's state in a request; None or empty for missing entries."""
 
-    def build(self, observation: Observation) -> dict[str, Value]:
-        """Create the entries of a request.
+    joints: JointSample | None = None
+    ee_pose: Pose | None = None
+    gripper_open: float | None = None
+    arms: Mapping[str, ArmState] = field(default_factory=dict)
 
-        Raises:
-            UngroundedError: a needed value is not measured.
-            UnsafeError: a value is not finite.
-        """
 
-    def parse(self, entries: Mapping[str, object]) -> Measured:
-        """The inverse of `build`.
+def state_entries(observation: Observation) -> dict[str, Value]:
+    """Encode the complete measured state, by name. Joints are sent with their names; poses as
+    x y z qx qy qz qw in the base frame [m, 1]. Raises UnsafeError: a value is not finite.
+    """
+    entries: dict[str, Value] = {}
+    joints = observation.joints
+    if joints is not None:
+        entries[_NAMES] = list(joints.names)
+        entries[_POSITION] = _finite(joints.position, _POSITION)
+        if joints.velocity is not None:
+            entries[_VELOCITY] = _finite(joints.velocity, _VELOCITY)
+    _put(entries, _PREFIX, observation.ee_pose, observation.gripper_open)
+    for name, arm in observation.arms.items():
+        _put(entries, f"{_PREFIX}{name}/", arm.ee_pose, arm.gripper_open)
+    return entries
 
-        Args:
-            entries: entries of the request, by key.
 
-        Raises:
-            InvalidInputError: an entry is missing or malformed.
-            UnsafeError: a value is not finite.
-        """
+def _put(entries: dict[str, Value], prefix: str, pose: Pose | None, opening: float | None) -> None:
+    if pose is not None:
+        values = np.concatenate([pose.position_m, pose.quaternion_xyzw])
+        entries[prefix + _POSE] = _finite(values, prefix + _POSE)
+    if opening is not None:
+        entries[prefix + _GRIPPER] = _finite(np.array([opening]), prefix + _GRIPPER)
+
+
+def state_of(entries: Mapping[str, object]) -> Measured:
+    """The inverse of `state_entries`.
+
+    Raises:
+        InvalidInputError: an entry is missing or malformed.
+        UnsafeError: a value is not finite.
+    """
+    arms: dict[str, ArmState] = {}
+    for key in entries:
+        arm, _, name = str(key).removeprefix(_PREFIX).rpartition("/")
+        if arm and name == _POSE and str(key).startswith(_PREFIX):
+            pose = _pose(entries, f"{_PREFIX}{arm}/")
+            assert pose is not None
+            arms[arm] = ArmState(ee_pose=pose, gripper_open=_opening(entries, f"{_PREFIX}{arm}/"))
+    return Measured(
+        joints=_joints(entries),
+        ee_pose=_pose(entries, _PREFIX),
+        gripper_open=_opening(entries, _PREFIX),
+        arms=arms,
+    )
+
+
+def _finite(values: F64, key: str) -> F64:
+    if not np.isfinite(values).all():
+        raise UnsafeError(f"The measured state holds a non-finite value ({key}).")
+    return np.asarray(values, dtype=np.float64)
+
+
+def _vector(entries: Mapping[str, object], key: str, width: int | None = None) -> F64:
+    """float64 (width,) of an entry. Raises InvalidInputError, UnsafeError."""
+    value = entries.get(key)
+    if not isinstance(value, np.ndarray | np.generic | float | int):
+        has = "is missing" if value is None else f"is a {type(value).__name__}"
+        raise InvalidInputError(f"The request's {key!r} {has}; expected numbers.")
+    numbers = np.atleast_1d(np.asarray(value, dtype=np.float64))
+    if numbers.ndim != 1 or (width is not None and numbers.shape != (width,)):
+        wanted = "n" if width is None else width
+        raise InvalidInputError(
+            f"The request's {key!r} has the shape {numbers.shape}, expected ({wanted},)."
+        )
+    if not np.isfinite(numbers).all():
+        raise UnsafeError(f"The request's {key!r} holds a non-finite value.")
+    return numbers
+
+
+def _checked_unit(quaternion_xyzw: F64) -> F64:
+    """Return the quaternion. Raises InvalidInputError unless its length is 1."""
+    length = math.hypot(*quaternion_xyzw.tolist())
+    if abs(length - 1.0) > _ROUNDED:
+        raise InvalidInputError(f"The request's quaternion has the length {length:.4g}, not 1.")
+    return quaternion_xyzw
+
+
+def _joints(entries: Mapping[str, object]) -> JointSample | None:
+    names = entries.get(_NAMES)
+    if names is None:
+        return None
+    if (
+        not isinstance(names, Sequence)
+        or len(names) > _MOST_JOINTS
+        or not all(isinstance(name, str) for name in names)
+        or len(set(names)) != len(names)
+    ):
+        raise InvalidInputError(f"The request's {_NAMES!r} are no list of distinct names.")
+    has_velocity = _VELOCITY in entries
+    return JointSample(
+        names=tuple(names),
+        position=_vector(entries, _POSITION, len(names)),
+        velocity=_vector(entries, _VELOCITY, len(names)) if has_velocity else None,
+    )
+
+
+def _pose(entries: Mapping[str, object], prefix: str) -> Pose | None:
+    if prefix + _POSE not in entries:
+        return None
+    values = _vector(entries, prefix + _POSE, 7)
+    return Pose(position_m=values[:3], quaternion_xyzw=_checked_unit(values[3:]))
+
+
+def _opening(entries: Mapping[str, object], prefix: str) -> float | None:
+    if prefix + _GRIPPER not in entries:
+        return None
+    return float(_vector(entries, prefix + _GRIPPER, 1)[0])
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -62,9 +166,16 @@ class TermState:
 
     @property
     def keys(self) -> tuple[str, ...]:
+        """Required keys of a request."""
         return tuple(self.parts)
 
     def build(self, observation: Observation) -> dict[str, Value]:
+        """Create the entries of a request.
+
+        Raises:
+            UngroundedError: a needed value is not measured.
+            UnsafeError: a value is not finite.
+        """
         return {
             key: np.concatenate(
                 [layout.build(_of_arm(observation, arm)) for arm, layout in part.items()]
@@ -73,9 +184,10 @@ class TermState:
         }
 
     def parse(self, entries: Mapping[str, object]) -> Measured:
+        """The inverse of `build`; raises as `state_of`."""
         found: dict[str, _Found] = {}
         for key, part in self.parts.items():
-            values = vector_of(entries, key, sum(layout.width for layout in part.values()))
+            values = _vector(entries, key, sum(layout.width for layout in part.values()))
             start = 0
             for arm, layout in part.items():
                 end = start + layout.width
@@ -127,7 +239,7 @@ class _Found:
         if term == "position":
             self.position_m = values - layout.base_position_m
         elif term == "quaternion":
-            self.quaternion_xyzw = checked_unit(values)
+            self.quaternion_xyzw = _checked_unit(values)
         elif term == "rotvec":
             self.quaternion_xyzw = quaternion_from_matrix(matrix_from_rotvec(values))
         elif term == "rpy":

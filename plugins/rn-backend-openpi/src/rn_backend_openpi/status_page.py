@@ -7,7 +7,6 @@ from http import HTTPStatus
 from http.client import HTTPException, HTTPResponse
 from pathlib import Path
 
-from rn_backend_openpi.fields import field, table
 from rn_backend_openpi.messages import Document
 from roboneuron import ForeignDataError, NotReadyError, foreign
 
@@ -30,7 +29,7 @@ def page(path: Path, timeout_s: float) -> Document:
                 raise ForeignDataError(f"a status is no answer of HTTP: {error!r}") from error
             if answer.status != HTTPStatus.OK:
                 raise ForeignDataError(f"a status is refused: {answer.status}")
-    return table(foreign.decode_json(data, "a status"), "a status")
+    return foreign.table(foreign.decode_json(data, "a status"), "a status")
 
 
 def ask_status(path: Path) -> Document:
@@ -41,7 +40,7 @@ def ask_status(path: Path) -> Document:
     """
     try:
         told = page(path, _LONGEST_S)
-        field(told, "models")
+        foreign.field(told, "models")
     except (FileNotFoundError, ConnectionRefusedError) as error:
         raise NotReadyError(
             "No policy server of this file runs on this machine as this user.",

@@ -26,6 +26,7 @@ MOST_ITEMS = 1024
 """Limit of entries of one map or list."""
 MOST_TEXT = 65536
 """Limit of characters of one text, for instance a prompt."""
+Shape = tuple[int | None, ...]
 _DTYPES = frozenset({"b1", "i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "f2", "f4", "f8"})
 _ORDERS = frozenset("<>|=")
 _MOST_DIMENSIONS = 8
@@ -134,3 +135,23 @@ def _array(value: dict[object, object]) -> NDArray[np.generic]:
     if not is_shape or math.prod(shape) * dtype.itemsize != len(data):
         raise ValueError(f"an array of {len(data)} bytes says it is {dtype} {shape}")
     return np.frombuffer(data, dtype=dtype).reshape(shape).copy()
+
+
+def array(value: object, what: str, dtype: str, shape: Shape) -> NDArray[Any]:
+    """A received array; None in `shape` stands for any length. Raises ForeignDataError."""
+    if (
+        not isinstance(value, np.ndarray)
+        or value.dtype.str != dtype
+        or value.ndim != len(shape)
+        or any(n not in (None, m) for n, m in zip(shape, value.shape, strict=True))
+    ):
+        raise ForeignDataError(f"{what} is no array {dtype} {shape}")
+    return value
+
+
+def numbers(value: object, what: str, shape: Shape) -> NDArray[np.float64]:
+    """Finite float64 numbers."""
+    found: NDArray[np.float64] = array(value, what, "<f8", shape)
+    if not np.isfinite(found).all():
+        raise ForeignDataError(f"{what} holds numbers that are not finite")
+    return found
