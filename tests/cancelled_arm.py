@@ -89,12 +89,16 @@ class Arm:
         files: of a recording, for `play_recording`.
     """
 
-    def __init__(self, folder: Path, text: str = "", namespace: str = "fr3") -> None:
+    def __init__(
+        self, folder: Path, text: str = "", namespace: str = "fr3", label: str = ""
+    ) -> None:
         """Args:
         folder: for files of this arm.
         text: configuration of robot, cameras, policy and control; the default one if empty.
         namespace: of the robot in it.
+        label: what it is called in figures.
         """
+        self.label = label
         import rclpy
         from geometry_msgs.msg import TwistStamped
         from rclpy.executors import SingleThreadedExecutor

@@ -94,14 +94,12 @@ def _lane(robot: str, kind: str) -> Any:
 def arm(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Arm]:
     folder = tmp_path_factory.mktemp("arm")
     prepare_environment(folder / "ros")
-    made = Arm(folder, *ROBOTS[request.param])
+    made = Arm(folder, *ROBOTS[request.param], label=request.param)
     yield made
     made.close()
 
 
-@pytest.mark.parametrize(
-    ("arm", "kind"), [_lane(*cell) for cell in CELLS], indirect=["arm"], scope="module"
-)
+@pytest.mark.parametrize(("arm", "kind"), [_lane(*cell) for cell in CELLS], indirect=["arm"])
 def test_the_arm_rests_and_stays_at_rest(arm: Arm, kind: str) -> None:
     named = (OF_ONE_ARM | OF_TWO_ARMS)[kind]
     for _ in range(3):
@@ -114,7 +112,7 @@ def test_the_arm_rests_and_stays_at_rest(arm: Arm, kind: str) -> None:
 
 
 @pytest.mark.timing
-@pytest.mark.parametrize(("arm", "kind"), CELLS, indirect=["arm"], scope="module")
+@pytest.mark.parametrize(("arm", "kind"), CELLS, indirect=["arm"])
 def test_the_arm_rests_within_0_3_s(arm: Arm, kind: str) -> None:
     stopped_while_it_moves(arm, kind, within_s=REST_S)
 
@@ -141,7 +139,9 @@ def stopped_while_it_moves(
         answer: dict[str, Any] = arm.steward.call("stop_motion", {})
         wait_until(arm.rests, 5.0, "rest")
         took_s = arm.rested_after_s(since_s)
-        print(f"{kind}: at rest after {took_s:.3f} s, answered {answer['took_s']:.3f} s")
+        print(
+            f"{arm.label} {kind}: at rest after {took_s:.3f} s, answered {answer['took_s']:.3f} s"
+        )
         assert not holds_within(arm.moves, QUIET_S), "it moves again"
         assert took_s < within_s
         return answer

@@ -66,6 +66,7 @@ class Cell:
         view = SimpleNamespace(report=SimpleNamespace(detail=detail))
         exposed = SimpleNamespace(profile=profile, robot=profile.name)
         self.host: Any = SimpleNamespace(
+            tools={},
             config=SimpleNamespace(robot=SimpleNamespace(name=profile.name)),
             gate=SimpleNamespace(exposed=(exposed,)),
             modules=SimpleNamespace(view=lambda kind: view, require_running=lambda kind: view),

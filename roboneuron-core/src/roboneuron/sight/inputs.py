@@ -179,9 +179,14 @@ def _with_depth(frame: Frame, message: Image) -> Frame:
 
 def why_no_image(host: Host) -> str:
     """What to do when a camera sends nothing."""
-    view = host.modules.view("perception")
-    if view.phase == "stopped" and host.modules.view("robot").phase == "stopped":
+    view, robot = host.modules.view("perception"), host.modules.view("robot").phase
+    if view.phase == "stopped" and robot == "stopped":
         return "The robot is not started: call start_all, or start_robot and then start_perception."
+    if view.phase == "running" and robot in ("stopped", "exited"):
+        return (
+            f"Perception runs, but the robot is {robot}, and the cameras of a simulated robot need "
+            "it: call start_robot."
+        )
     if view.phase == "running" and view.plan is not None:
         return (
             f"Perception runs with the cameras: {view.plan.names.get('cameras', 'none')}. If it is "

@@ -8,7 +8,7 @@ import pytest
 from handling_cell import Cell, cube
 
 from roboneuron import RefusedError
-from roboneuron.tools.arm import doubt, picking, place_plans, pushing
+from roboneuron.tools.arm import bounds, doubt, picking, place_plans
 
 
 @pytest.fixture
@@ -20,6 +20,6 @@ def cell(monkeypatch: pytest.MonkeyPatch) -> Cell:
             raise RefusedError("The elbow would stretch.", rule="path")
         return 1.0
 
-    for module in (picking, place_plans, pushing, doubt):
+    for module in (picking, place_plans, bounds, doubt):
         monkeypatch.setattr(module, "rehearse", rehearse)
     return made

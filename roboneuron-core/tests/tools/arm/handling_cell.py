@@ -56,6 +56,7 @@ class Cell:
     """
 
     table_m = 0.0
+    held_name = "something"
     robot = "arm"
     arm = ""
     fastest = (0.25, 1.0)

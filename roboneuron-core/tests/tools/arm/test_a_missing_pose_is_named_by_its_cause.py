@@ -63,7 +63,11 @@ def test_a_pose_that_does_not_come_is_named_by_its_cause(
 ) -> None:
     starts = Starts()
     host: Any = SimpleNamespace(
-        loop=SimpleNamespace(starts=starts), graph=None, subscribe=lambda *_: lambda: None
+        loop=SimpleNamespace(starts=starts),
+        graph=None,
+        subscribe=lambda *_: lambda: None,
+        config=SimpleNamespace(namespace="fr3"),
+        modules=SimpleNamespace(view=lambda kind: SimpleNamespace(phase="running")),
     )
     lose(starts)
     with pytest.raises(error, match=told):

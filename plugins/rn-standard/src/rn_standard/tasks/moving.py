@@ -27,8 +27,12 @@ from roboneuron import (
 from roboneuron.sight.looker import looker_of, seen_target
 from roboneuron.sight.marks import name_of
 from roboneuron.tools.arm.absolute import go_to, wanted_rotation
+from roboneuron.tools.arm.bounds import check_route
+from roboneuron.tools.arm.end_effector import EndEffectorMover
 from roboneuron.tools.arm.grip import check_gripper
 from roboneuron.tools.arm.options import fastest
+from roboneuron.tools.arm.routes import Waypoint
+from roboneuron.tools.arm.several_arms import OfArm
 
 _ABOVE_M = 0.10
 """Height of the TCP over the top of an object to which it moves."""
@@ -230,7 +234,9 @@ class Mover:
             position, name = np.array(arguments.position_m), str(arguments.position_m)
             first = position + np.array([0.0, 0.0, arguments.above_m or 0.0])
         took_s, error_m = 0.0, 0.0
-        for target in [position] if first is None or not arguments.above_m else [first, position]:
+        targets = [position] if first is None or not arguments.above_m else [first, position]
+        await self._check_route(arm, targets, rotation, name, arguments.speed, context)
+        for target in targets:
             error_m, part_s = await self._straight(
                 arm, target, rotation, name, arguments.speed, context
             )
@@ -257,12 +263,34 @@ class Mover:
         if place.quaternion_xyzw is not None:
             wanted = np.array(place.quaternion_xyzw)
             rotation = matrix_from_quaternion(wanted / np.linalg.norm(wanted))
-        error_m, took_s = await self._straight(
-            place.arm, np.array(place.position_m), rotation, name, speed, context
-        )
+        position = np.array(place.position_m)
+        await self._check_route(place.arm, [position], rotation, repr(name), speed, context)
+        error_m, took_s = await self._straight(place.arm, position, rotation, name, speed, context)
         if gripper:
             took_s += (await self._call("move_ee", {**arm, **gripper}, context))["duration_s"]
         return MovedTo(name=name, kind="place", error=round(error_m, 5), took_s=round(took_s, 3))
+
+    async def _check_route(
+        self,
+        arm: str,
+        targets: Sequence[F64],
+        rotation: F64 | None,
+        name: str,
+        speed: float,
+        context: CallContext,
+    ) -> None:
+        """Raise RefusedError unless the arm would get to these places; nothing moves. A twin, and
+        an arm that something else moves, judge by themselves.
+        """
+        tool = self._host.tools.get("move_ee") if self._judge is None else None
+        handler = None if tool is None else tool.handler
+        mover = handler.of(arm) if isinstance(handler, OfArm) else handler
+        if isinstance(mover, EndEffectorMover):
+            route = [
+                Waypoint(what=f"the target {name}", position_m=target, rotation=rotation)
+                for target in targets
+            ]
+            await context.run(lambda _: check_route(self._host, mover, "The motion", route, speed))
 
     async def _straight(
         self,

@@ -256,9 +256,8 @@ class Task:
                 # nothing has moved, so the policy has not achieved it, even if it cannot be
                 # evaluated
                 if not state.has_acted:
-                    return _Attempt(
-                        outcome=Outcome.FAILED, reason=f"the policy refuses: {state.failure}"
-                    )
+                    why = state.failure.rstrip(".")
+                    return _Attempt(outcome=Outcome.FAILED, reason=f"the policy refuses: {why}")
                 return self._unfulfilled(
                     judgement, Outcome.FAILED, f"the policy gave up: {state.failure}"
                 )

@@ -1,19 +1,52 @@
-"""Which limit forbids a place of the TCP, by its edge."""
+"""Routes that are refused before anything moves, and which limit forbids a place, by its edge."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from roboneuron.errors import RefusedError, RoboNeuronError
+from roboneuron.errors import InvalidInputError, RefusedError, RoboNeuronError
 from roboneuron.server.host import Host
 from roboneuron.tools.arm.ee_line import F64
-from roboneuron.tools.arm.routes import Waypoint
+from roboneuron.tools.arm.end_effector import EndEffectorMover
+from roboneuron.tools.arm.routes import Waypoint, rehearse
+
+__all__ = ["check_route"]
+"""Names that other distributions may use."""
 
 _AXES = ("x", "y", "z")
 _PLAY_M = 5e-4
+_FAR_M = 10.0
+"""Farther from the base than any arm reaches."""
 LOOSEN = "A person can loosen them (loosen_limits, or: roboneuron limits --loosen)."
+
+
+def check_near(place_m: F64, path: str) -> None:
+    """Raise InvalidInputError for a place (2,) or (3,) that no arm reaches, or that is no number;
+    `path` is the argument.
+    """
+    if not (np.abs(place_m) <= _FAR_M).all():
+        raise InvalidInputError(
+            f"{path} is {place_m.tolist()}, more than {_FAR_M:g} m from the base.",
+            hint="Give a place within reach of the arm, in the base frame [m]: see look.",
+            path=path,
+        )
+
+
+def check_route(
+    host: Host, mover: EndEffectorMover, subject: str, route: Sequence[Waypoint], speed: float
+) -> None:
+    """Predict a route from where the arm is measured; arguments as of `refused_route`. Raises
+    RefusedError unless the arm would get to its end, InvalidInputError as `check_near`.
+    """
+    for part in route:
+        if part.position_m is not None:
+            check_near(part.position_m, "position_m")
+    try:
+        rehearse(mover, route, speed)
+    except RoboNeuronError as error:
+        raise refused_route(host, subject, route, error) from error
 
 
 def refused_route(

@@ -216,6 +216,8 @@ class EndEffectorMover:
         if request.simulated:
             return self._judge(order, request)
         self.check()
+        for tcp in self._tcps.values():  # a motion that waits for long counts as frozen
+            tcp.wait(_MEASURED_S)
         line, began_s = _Line(order=order), time.monotonic()
         sent = gate.play(
             exposed,

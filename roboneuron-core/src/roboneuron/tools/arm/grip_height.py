@@ -7,6 +7,7 @@ import logging
 from roboneuron.errors import RoboNeuronError
 from roboneuron.server.host import Host
 from roboneuron.server.motion_gate import ExposedEndpoint, MotionGate
+from roboneuron.sight.marks import told_name
 from roboneuron.tools.arm.grip import Grip
 from roboneuron.tools.arm.measured import MeasuredPose
 from roboneuron.tools.arm.put_down import (
@@ -45,6 +46,11 @@ class GripHeight(Grip):
         """Height of the TCP [m]; None if not observed."""
         told = self._clock.closed_at_m(self.arm)
         return self._closed_at_m if told is None else told
+
+    @property
+    def held_name(self) -> str:
+        """What the hand holds, for sentences, when something blocks its fingers."""
+        return "something" if self.held is None else told_name(self.held.object)
 
     def watch(self) -> None:
         """Start observing; does nothing the second time."""

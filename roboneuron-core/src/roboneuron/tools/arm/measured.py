@@ -107,9 +107,15 @@ class MeasuredPose:
                 starts.check(stops)
             if is_late:
                 raise NotReadyError(
-                    "Control publishes no pose of the end effector.", hint="See get_status."
+                    "Control publishes no pose of the end effector.", hint=self._hint()
                 )
             time.sleep(_POLL_S)
+
+    def _hint(self) -> str:
+        """What to do when no pose comes."""
+        is_own = self._topic.startswith(f"/{self._host.config.namespace}/")
+        has_ended = self._host.modules.view("robot").phase in ("stopped", "exited")
+        return "Call start_robot first." if is_own and has_ended else "See get_status."
 
     def open(self) -> None:
         """Subscribe; does nothing the second time. Raises RoboNeuronError if ROS cannot be

@@ -24,7 +24,7 @@ from roboneuron.tools.arm.displacement import Surroundings, displaced
 from roboneuron.tools.arm.doubt import judged, planned
 from roboneuron.tools.arm.end_effector import EndEffectorMover
 from roboneuron.tools.arm.grasps import Grasp, boxes_of, grasps_of, route_to_grasp
-from roboneuron.tools.arm.grip import Grip
+from roboneuron.tools.arm.grip_height import GripHeight
 from roboneuron.tools.arm.options import HandOptions
 from roboneuron.tools.arm.routes import RobotCarrier, Waypoint, now_ns, rehearse, run_route
 from roboneuron.tools.arm.several_arms import arguments_of, handler_of
@@ -73,7 +73,7 @@ class Picker:
         self,
         host: Host,
         mover: EndEffectorMover,
-        grip: Grip,
+        grip: GripHeight,
         hand: HandOptions,
         remember: Callable[[Grasp], None] | None = None,
     ) -> None:
@@ -135,7 +135,9 @@ class Picker:
         self.grip.check_fitted()
         if self.grip.holding():
             raise RefusedError(
-                "The hand holds something already.", hint="Call place first.", rule="full_hand"
+                f"The hand holds {self.grip.held_name} already.",
+                hint="Call place first.",
+                rule="full_hand",
             )
         look, one = target_of(arguments, looker, who)
         yaw = None if arguments.yaw_deg is None else float(np.radians(arguments.yaw_deg))
@@ -181,7 +183,7 @@ def target_of(arguments: PickArguments, looker: Looker, who: str) -> tuple[CellL
 def pick_tool(
     host: Host,
     movers: Mapping[str, EndEffectorMover],
-    grips: Mapping[str, Grip],
+    grips: Mapping[str, GripHeight],
     hand: HandOptions,
     robot: str,
     remember: Callable[[str, Grasp], None],

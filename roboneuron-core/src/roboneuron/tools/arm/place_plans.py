@@ -11,13 +11,13 @@ from pydantic import Field
 from roboneuron.contract import Pose
 from roboneuron.contract.locator import LocatedObject
 from roboneuron.contract.rotation import matrix_from_quaternion
-from roboneuron.errors import InvalidInputError, NotReadyError, RoboNeuronError
+from roboneuron.errors import InvalidInputError, NotReadyError, RefusedError, RoboNeuronError
 from roboneuron.server.host import Host
 from roboneuron.server.tool import Arguments
 from roboneuron.sight.looker import Looker, looker_of
-from roboneuron.sight.marks import CellLook
+from roboneuron.sight.marks import CellLook, name_of, told_name
 from roboneuron.tools.arm.absolute import yaw_of
-from roboneuron.tools.arm.bounds import refused_route
+from roboneuron.tools.arm.bounds import check_near, refused_route
 from roboneuron.tools.arm.doubt import check_seen_well, judged
 from roboneuron.tools.arm.end_effector import EndEffectorMover
 from roboneuron.tools.arm.grip_height import GripHeight
@@ -105,6 +105,8 @@ def plan_place(
     if len(absolute) > 1 or (absolute and shifts):
         told = " and ".join([*absolute, *shifts])
         raise InvalidInputError(f"The call gives {told}; give one target.", path=absolute[0])
+    if arguments.position_m is not None:
+        check_near(np.array(arguments.position_m), "position_m")
     is_found = grip.held is not None and arguments.height_m is None
     if not absolute and not is_found:
         return None
@@ -152,6 +154,33 @@ def plan_place(
     raise refused_route(host, "The place", route, refusal) from refusal
 
 
+def _other(
+    looker: Looker, who: str, name: str, path: str, held: HeldObject, pose: Pose
+) -> LocatedObject:
+    """The object that `on` or `beside` names, seen well.
+
+    Raises:
+        RefusedError: it is what the hand holds, or is not seen well.
+        InvalidInputError, NotReadyError: as `target_object`.
+    """
+    itself = RefusedError(
+        f"The hand holds {told_name(held.object)} itself: it cannot be put {path} itself.",
+        hint="Name another object of look, or give dx_m and dy_m, or position_m.",
+        rule="in_hand",
+    )
+    try:
+        look, one = target_object(looker, who, name, path)
+    except InvalidInputError:
+        words = name.casefold().split()
+        if words and set(words) <= set(name_of(held.object).casefold().split()):
+            raise itself from None
+        raise
+    if one not in others_than(look, held, pose):
+        raise itself
+    check_seen_well(one)
+    return one
+
+
 def _target(
     arguments: PlaceArguments,
     looker: Looker,
@@ -162,12 +191,10 @@ def _target(
 ) -> PlaceTarget:
     asked = None if arguments.yaw_deg is None else float(np.radians(arguments.yaw_deg))
     if arguments.on:
-        _, one = target_object(looker, who, arguments.on, "on")
-        check_seen_well(one)
+        one = _other(looker, who, arguments.on, "on", held, pose)
         target = PlaceTarget(middle=one.position_m[:2], yaw_rad=one.yaw_rad, on=one)
     elif arguments.beside:
-        _, one = target_object(looker, who, arguments.beside, "beside")
-        check_seen_well(one)
+        one = _other(looker, who, arguments.beside, "beside", held, pose)
         target = beside(one, held, arguments.side, arguments.gap_m, yaw_rad)
     elif arguments.position_m is not None:
         target = PlaceTarget(middle=np.array(arguments.position_m))

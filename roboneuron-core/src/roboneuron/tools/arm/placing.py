@@ -21,6 +21,7 @@ from roboneuron.sight.memory import IN_HAND_M
 from roboneuron.sight.sightlines import is_seen_well
 from roboneuron.supervisor.changes import Stage
 from roboneuron.tools.arm.absolute import slowed, yaw_of
+from roboneuron.tools.arm.bounds import check_route
 from roboneuron.tools.arm.displacement import FOLLOW_M, Surroundings, displaced
 from roboneuron.tools.arm.doubt import UnclearError, planned
 from roboneuron.tools.arm.ee_move import EndEffectorMove, MoveEndEffector
@@ -30,7 +31,7 @@ from roboneuron.tools.arm.hand_space import UprightBox, gap_m
 from roboneuron.tools.arm.landing import landed
 from roboneuron.tools.arm.options import HandOptions
 from roboneuron.tools.arm.place_plans import PlaceArguments, PlacePlan, plan_place
-from roboneuron.tools.arm.routes import RobotCarrier, now_ns, run_route
+from roboneuron.tools.arm.routes import RobotCarrier, Waypoint, now_ns, run_route
 from roboneuron.tools.arm.several_arms import arguments_of, handler_of
 
 __all__ = ["Placer"]
@@ -125,6 +126,7 @@ class Placer:
         start = await context.run(lambda _: self.mover.pose())
         await context.run(lambda _: self.check_free(arguments, start, context.who))
         route = self.route(arguments, start)
+        await context.run(lambda _: self._check_route(route, start))
         for move in route.carry:
             moved = await self.mover(move, context)
             _check(moved)
@@ -231,7 +233,7 @@ class Placer:
         if self.grip.holding() is False:
             raise RefusedError(
                 "The hand holds nothing that could be put down.",
-                hint="See get_status, robot.",
+                hint="Call pick first; get_status, robot, tells the opening.",
                 rule="empty_hand",
             )
 
@@ -281,6 +283,17 @@ class Placer:
                     hint="Give another dx_m, dy_m, or `on` to stack it.",
                     rule="occupied",
                 )
+
+    def _check_route(self, route: PlaceRoute, start: Pose) -> None:
+        """Raise RefusedError unless the arm would get to the end of the moves."""
+        if self._host is None:
+            return
+        place, points = np.array(start.position_m), list[Waypoint]()
+        for what, moves in (("the way to the place", route.carry), ("the retreat", route.leave)):
+            for move in moves:
+                place = place + move.delta()[:3]
+                points.append(Waypoint(what=what, position_m=place))
+        check_route(self._host, self.mover, "The place", points, 1.0)
 
     def route(self, arguments: PlaceArguments, start: Pose) -> PlaceRoute:
         """The moves of a call that begins with the TCP at `start`. Raises as `release_height_m`."""

@@ -21,16 +21,16 @@ from roboneuron.sight.marks import CellLook, name_of, nearest_like, told_name
 from roboneuron.sight.sightlines import is_seen_well
 from roboneuron.supervisor.changes import Stage
 from roboneuron.tools.arm.absolute import top_down, yaw_of
-from roboneuron.tools.arm.bounds import refused_route
+from roboneuron.tools.arm.bounds import check_route
 from roboneuron.tools.arm.displacement import FOLLOW_M, Surroundings, displaced
 from roboneuron.tools.arm.doubt import judged, planned
 from roboneuron.tools.arm.ee_line import F64
 from roboneuron.tools.arm.end_effector import EndEffectorMover
 from roboneuron.tools.arm.grasps import boxes_of, check_uncovered
-from roboneuron.tools.arm.grip import Grip
+from roboneuron.tools.arm.grip_height import GripHeight
 from roboneuron.tools.arm.hand_space import UprightBox, nearest_obstacle, parts_of_hand
 from roboneuron.tools.arm.options import HandOptions
-from roboneuron.tools.arm.routes import RobotCarrier, Waypoint, now_ns, rehearse, run_route
+from roboneuron.tools.arm.routes import RobotCarrier, Waypoint, now_ns, run_route
 from roboneuron.tools.arm.several_arms import arguments_of, handler_of
 
 __all__ = ["PushArguments", "Pusher"]
@@ -203,7 +203,9 @@ class Pusher:
         mover, grip: of the arm.
     """
 
-    def __init__(self, host: Host, mover: EndEffectorMover, grip: Grip, hand: HandOptions) -> None:
+    def __init__(
+        self, host: Host, mover: EndEffectorMover, grip: GripHeight, hand: HandOptions
+    ) -> None:
         """Args:
         host: of the feature.
         mover, grip: of the arm.
@@ -281,7 +283,7 @@ class Pusher:
             )
         if self.grip.holding():
             raise RefusedError(
-                "The hand holds something.", hint="Call place first.", rule="full_hand"
+                f"The hand holds {self.grip.held_name}.", hint="Call place first.", rule="full_hand"
             )
         look, one = seen_target(looker, who, arguments.object, arguments.mark)
         return look, one, self._route(look, one, shift, start)
@@ -299,10 +301,7 @@ class Pusher:
         route = judged(
             lambda seen: route_of_push(one, shift, boxes_of(seen), here, self._hand), others
         )
-        try:
-            rehearse(self.mover, route, 1.0)
-        except RefusedError as error:
-            raise refused_route(self._host, "The push", route, error) from error
+        check_route(self._host, self.mover, "The push", route, 1.0)
         return route
 
     def _seen(self, look: CellLook, one: LocatedObject, goal: F64) -> LocatedObject:
@@ -322,7 +321,7 @@ def _look_anew(looker: Looker, who: str, since_ns: int, _: Stage) -> CellLook:
 def push_tool(
     host: Host,
     movers: Mapping[str, EndEffectorMover],
-    grips: Mapping[str, Grip],
+    grips: Mapping[str, GripHeight],
     hand: HandOptions,
     robot: str,
 ) -> Tool[PushArguments]:

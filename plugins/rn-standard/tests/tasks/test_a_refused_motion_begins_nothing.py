@@ -1,4 +1,4 @@
-"""All steps of a gesture are judged before the first one moves the arm."""
+"""All steps of a gesture, and a straight motion, are judged before the first one moves the arm."""
 
 from __future__ import annotations
 
@@ -7,16 +7,20 @@ from types import SimpleNamespace
 from typing import Any
 
 import anyio
+import numpy as np
 import pytest
 
-from rn_standard.tasks.moving import Mover
+from rn_standard.tasks import moving
+from rn_standard.tasks.moving import Mover, MoveToArguments
 from rn_standard.tasks.named_targets import Places
-from rn_standard.tasks.options import GestureOptions, PostureOptions, TasksSections
+from rn_standard.tasks.options import GestureOptions, PlaceOptions, PostureOptions, TasksSections
 from roboneuron import RefusedError
+from roboneuron.tools.arm.end_effector import EndEffectorMover
 
 OPTIONS = TasksSections(
     gestures={"nod": GestureOptions(steps=({"b": 0.3}, {"b": -0.3}), times=2)},
     postures={"rest": PostureOptions(joints={"b": 0.0})},
+    places={"shelf": PlaceOptions(position_m=(0.9, 0.0, 0.3))},
 )
 STEPS = [{"b": 0.3}, {"b": -0.3}, {"b": 0.3}, {"b": -0.3}]
 
@@ -98,3 +102,42 @@ def test_a_step_that_is_refused_later_tells_after_which_the_arm_stands(
     with pytest.raises(RefusedError, match=r"steps\[1\]") as caught:
         move("nod", calls, Judge(refuses=False))
     assert (caught.value.rule, caught.value.hint, len(calls.made)) == ("zone", "Look.", 2)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        {"position_m": [0.9, 0.0, 0.3]},
+        {"position_m": [0.5, 0.0, 0.1], "above_m": 0.2},
+        {"name": "shelf"},
+    ],
+)
+def test_a_straight_motion_that_would_not_end_moves_nothing(
+    monkeypatch: pytest.MonkeyPatch, arguments: dict[str, Any]
+) -> None:
+    routes: list[Any] = []
+
+    def check_route(host: Any, mover: Any, subject: str, route: Any, speed: float) -> None:
+        routes.append(route)
+        raise RefusedError("It is out of reach.", rule="out_of_reach")
+
+    monkeypatch.setattr(moving, "check_route", check_route)
+    monkeypatch.setattr(moving, "profile_of", lambda host: None)
+    handler = object.__new__(EndEffectorMover)
+    host: Any = SimpleNamespace(
+        tools=SimpleNamespace(get=lambda _: SimpleNamespace(handler=handler)),
+        config=SimpleNamespace(robot=SimpleNamespace(name="none")),
+        gate=SimpleNamespace(exposed=()),
+    )
+
+    async def run(work: Callable[[Any], Any]) -> Any:
+        return work(lambda _: None)
+
+    calls = Calls()
+    here = (np.array([0.4, 0.0, 0.3]), np.eye(3))
+    mover = Mover(host, Places(host, OPTIONS), lambda arm: here, calls)
+    context: Any = SimpleNamespace(run=run, ask=None, who="a", role="operator", simulated=False)
+    with pytest.raises(RefusedError):
+        anyio.run(mover.go, MoveToArguments(**arguments), context)
+    assert calls.made == []
+    assert [len(route) for route in routes] == [1 + ("above_m" in arguments)]
