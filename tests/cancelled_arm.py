@@ -112,6 +112,7 @@ class Arm:
             "ROBONEURON_RECORDER": "on",
         }
         self._published = 0
+        self._names: list[str] = []
         self._pushes, self._releases = threading.Event(), threading.Event()
         self._seen: deque[tuple[float, list[float], float]] = deque(maxlen=200)
         self._context = rclpy.Context()
@@ -133,7 +134,7 @@ class Arm:
         self.client: Any = None
 
     def _take(self, message: Any) -> None:
-        stamp = message.header.stamp
+        stamp, self._names = message.header.stamp, list(message.name)
         measured_s = stamp.sec + stamp.nanosec * 1e-9
         self._seen.append((time.monotonic(), list(message.position), measured_s))
 
@@ -169,7 +170,12 @@ class Arm:
             if holds_within(self.moves, 2.0):
                 return
 
-    def _travel(self) -> float | None:
+    def _judged(self, positions: list[float], *, fingers: bool) -> list[float]:
+        """The positions of all joints, or of those that are no fingers."""
+        named = zip(self._names, positions, strict=True)
+        return [one for name, one in named if fingers or "finger" not in name]
+
+    def _travel(self, *, fingers: bool = True) -> float | None:
         """Largest change of a joint within a window that ends now, or with the last measurement of
         a robot that has ended [rad or m]; None without measurements that fill it.
         """
@@ -180,7 +186,9 @@ class Arm:
         inside = [one for one in seen if one[0] >= end_s - WINDOW_S]
         if len(inside) < LEAST_SAMPLES or inside[-1][0] - inside[0][0] < WINDOW_S / 2:
             return None
-        joints = zip(*(positions for _, positions, _ in inside), strict=True)
+        joints = zip(
+            *(self._judged(positions, fingers=fingers) for _, positions, _ in inside), strict=True
+        )
         return max(float(max(one) - min(one)) for one in joints)
 
     def rests(self) -> bool:
@@ -188,9 +196,9 @@ class Arm:
         travel = self._travel()
         return travel is not None and travel < STILL_RAD
 
-    def moves(self) -> bool:
-        """The arm is measured in motion."""
-        return (self._travel() or 0.0) > MOVES_RAD
+    def moves(self, *, fingers: bool = True) -> bool:
+        """The arm is measured in motion, or its fingers are."""
+        return (self._travel(fingers=fingers) or 0.0) > MOVES_RAD
 
     def fastest_rad_s(self) -> float:
         """Highest speed of a joint of the arm between successive measurements that are kept, by
@@ -208,13 +216,16 @@ class Arm:
             before, before_s = positions, at_s
         return fastest
 
-    def rested_after_s(self, since_s: float) -> float:
+    def rested_after_s(self, since_s: float, *, fingers: bool = True) -> float:
         """How long a joint still moved after a time [monotonic s]; the arm rests now [s]."""
-        seen = tuple(self._seen)
+        seen = [
+            (at_s, self._judged(positions, fingers=fingers))
+            for at_s, positions, _ in tuple(self._seen)
+        ]
         rest = seen[-1][1]
         moved = [
             at_s - since_s
-            for at_s, positions, _ in seen
+            for at_s, positions in seen
             if max(abs(one - there) for one, there in zip(positions, rest, strict=True)) > RESTS_RAD
         ]
         return max(0.0, *moved)
