@@ -13,21 +13,23 @@ from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass, field
 from fnmatch import fnmatch
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
 from hypothesis import HealthCheck, settings
 
 from rn_testing.domain import free_ros_domain
-from rn_testing.fakes import fake_registry
-from rn_testing.fakes.wheels import CommandedWheels
-from roboneuron import Spec
-from roboneuron.config import parse_config
 from roboneuron.errors import StateError
-from roboneuron.plugins.registry import Registry
 from roboneuron.ros.environment import prepare_environment
-from roboneuron.server.app import Application
-from roboneuron.server.tool import CallContext, NoArguments, Result, Tool
+
+if TYPE_CHECKING:
+    # Each run of pytest loads this file, and with pytest-xdist a process that runs no test: the
+    # server alone would take a second.
+    from rn_testing.fakes.wheels import CommandedWheels
+    from roboneuron import Spec
+    from roboneuron.plugins.registry import Registry
+    from roboneuron.server.app import Application
+    from roboneuron.server.tool import CallContext, NoArguments, Result
 
 pytest_plugins = ("rn_testing.isolation", "rn_testing.gate_fixtures")
 settings.register_profile(
@@ -174,6 +176,8 @@ def _priority() -> Iterator[None]:
 @pytest.fixture
 def wheels(server_environment: dict[str, str], tmp_path: Path) -> Iterator[CommandedWheels]:
     """What the wheels of the robot of `server_environment` are told."""
+    from rn_testing.fakes.wheels import CommandedWheels
+
     prepare_environment(tmp_path / "ros")
     subscriber = CommandedWheels(int(server_environment["ROS_DOMAIN_ID"]))
     yield subscriber
@@ -186,6 +190,10 @@ def application_of(tmp_path: Path) -> Iterator[Callable[..., Application]]:
 
     None of them starts a process, and none touches ROS. All are closed after the test.
     """
+    from rn_testing.fakes import fake_registry
+    from roboneuron.config import parse_config
+    from roboneuron.server.app import Application
+
     made: list[Application] = []
 
     def make(
@@ -267,6 +275,8 @@ class WaitingTool:
         self.cancelled.set()
 
     def _work(self, _: Any) -> Result:
+        from roboneuron.server.tool import Result
+
         self.begun.set()
         if not self.cancelled.wait(60):
             raise StateError("Nobody cancelled it.")
@@ -276,6 +286,8 @@ class WaitingTool:
 @pytest.fixture
 def waiting_tool(application: Application) -> WaitingTool:
     """Give the application of the test the tool `slow`."""
+    from roboneuron.server.tool import NoArguments, Result, Tool
+
     tool = WaitingTool()
     listed = Tool(
         name="slow",
