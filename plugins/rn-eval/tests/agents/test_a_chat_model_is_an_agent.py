@@ -148,8 +148,9 @@ def test_a_model_calls_tools_and_ends_with_its_words(serve):
     assert pictured["content"][1]["image_url"]["url"].startswith("data:image/png;base64,")
     answers = [m["content"] for m in third["messages"] if m["role"] == "tool"][1:]
     assert answers[0] == "Error: No."
-    assert "no JSON" in answers[1]
-    assert "no JSON object" in answers[2]
+    for refused in answers[1:]:
+        assert refused.startswith("Error: ")
+        assert "JSON" in refused
 
 
 def test_a_model_that_never_ends_is_ended(serve):

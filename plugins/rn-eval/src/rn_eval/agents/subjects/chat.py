@@ -84,7 +84,7 @@ async def _call(tools: ToolClient, name: str, text: str) -> ToolAnswer:
     """Execute the model's call; arguments that are no JSON object are returned as an error."""
     try:
         found = foreign.decode_json(text or "{}", "The text of the arguments")
-        arguments = foreign.table(found, "The arguments")
+        arguments = foreign.table(found, "The JSON of the arguments")
     except ForeignDataError as error:
         return ToolAnswer(ok=False, code="invalid_input", text=f"{error}.")
     return await tools.call_with(name, arguments)
