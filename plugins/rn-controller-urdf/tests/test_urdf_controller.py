@@ -16,8 +16,10 @@ from hypothesis import strategies as st
 from rn_controller_urdf.controller import UrdfController
 from rn_controller_urdf.options import UrdfControllerOptions
 from rn_controller_urdf.refusals import HOLD_CODES
+from rn_testing.robot_judge import random_chain
 from roboneuron.contract import (
     Action,
+    CollisionProfile,
     GripperProfile,
     Hold,
     JointCommand,
@@ -94,6 +96,29 @@ def test_forward_matches_the_closed_form_of_a_planar_arm():
         pose.quaternion_xyzw[2:], (math.sin((a + b) / 2), math.cos((a + b) / 2)), atol=1e-12
     )
     assert pose.stamp_ns == 7
+
+
+def test_a_link_may_have_the_name_of_its_joint():
+    """Public descriptions name a fixed joint as the link that it carries, at the base or the TCP."""
+    chain = random_chain(["revolute"] * 4, seed=3)
+    profile = RobotProfile(
+        name="chain",
+        urdf=chain.urdf,
+        base_link="base",
+        tcp_link="tcp",
+        arm_joints=chain.arm,
+        collision=CollisionProfile(min_distance_m=0.001),
+    )
+    named = profile.urdf
+    for link in (profile.base_link, profile.tcp_link):
+        fixed = (
+            f'<link name="at_{link}"/><joint name="{link}" type="fixed"><parent link="{link}"/>'
+            f'<child link="at_{link}"/></joint></robot>'
+        )
+        named = named.replace("</robot>", fixed)
+    here = JointSample(names=chain.arm, position=np.full(4, 0.3))
+    usual, same = loaded(profile), loaded(dataclasses.replace(profile, urdf=named))
+    assert same.forward(here).position_m.tolist() == usual.forward(here).position_m.tolist()
 
 
 def test_planar_arm_tracks_position_where_two_joints_cannot_track_rotation():

@@ -159,5 +159,5 @@ def build_arm_model(profile: RobotProfile) -> ArmModel:
         velocity=velocity,
         coupling=_coupling(profile, moving, arm) if len(moving) > len(arm) else None,
         kinematics=kinematics,
-        tcp_frame=int(kinematics.getFrameId(profile.tcp_link)),
+        tcp_frame=int(kinematics.getFrameId(profile.tcp_link, pinocchio.FrameType.BODY)),
     )

@@ -71,7 +71,7 @@ class LinkShapes:
     def _place_base(self, base_link: str) -> pinocchio.SE3:
         """Pose of the base link in the model's own frame; obstacles are given in the base frame."""
         pin = self._pin
-        frame = self._model.getFrameId(base_link)
+        frame = self._model.getFrameId(base_link, pin.FrameType.BODY)
         pin.framesForwardKinematics(self._model, self._data, pin.neutral(self._model))
         return self._data.oMf[frame].copy()
 
