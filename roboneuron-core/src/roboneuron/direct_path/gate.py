@@ -28,7 +28,7 @@ from roboneuron.gate.motion import joint_space
 from roboneuron.gate.motion.joint_paths import check_joints
 from roboneuron.gate.motion.path_limits import Leg, LimitError
 from roboneuron.gate.motion.path_watch import WayWatch
-from roboneuron.server.motion_gate import Clamp, GateRequest, Verdict
+from roboneuron.server.motion_gate import Clamp, ExposedEndpoint, GateRequest, Verdict
 
 _Key = tuple[str, str]
 
@@ -159,6 +159,13 @@ class Gate:
             return 1.0
         with _judging():
             return found.allowed.path().slowdown(_legs(found.allowed, request), request.joints)
+
+    def joint_limits(self, exposed: ExposedEndpoint) -> Mapping[str, joint_space.JointLimit]:
+        """As `MotionGate.joint_limits`."""
+        found = self._entries.get((exposed.robot, exposed.endpoint.name))
+        rules = None if found is None else found.allowed.rules
+        assert exposed.profile is not None, "it has joints"
+        return joint_space.JointLimit.by_joint(exposed.profile, rules)
 
     def way_watch(
         self, request: GateRequest, joints: Callable[[], JointSample | None]

@@ -55,6 +55,7 @@ class DirectGate:
         self.max_duration_s = max_duration_s
         self.expose, self.relimit = allow_list.expose, allow_list.relimit
         self.check, self.slowdown = gate.check, gate.slowdown
+        self.joint_limits = gate.joint_limits
         self.check_free, self.claim, self.end_motions = (
             arbiter.check_free,
             arbiter.claim,

@@ -17,6 +17,7 @@ from roboneuron.contract import Endpoint, JointSample, RobotProfile
 if TYPE_CHECKING:
     from unique_identifier_msgs.msg import UUID
 
+    from roboneuron.gate.motion.joint_space import JointLimit
     from roboneuron.ros.link import Call
 
 
@@ -239,6 +240,11 @@ class MotionGate(Protocol):
 
         Raises:
             RefusedError: the path cannot be evaluated.
+        """
+
+    def joint_limits(self, exposed: ExposedEndpoint) -> Mapping[str, JointLimit]:
+        """Limits by joint that commands to an endpoint of an arm keep to now: those of its profile,
+        of `[limits]`, and what was tightened.
         """
 
     def check_free(self, exposed: ExposedEndpoint) -> None:

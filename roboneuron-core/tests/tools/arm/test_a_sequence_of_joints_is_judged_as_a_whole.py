@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from types import SimpleNamespace
 from typing import Any
 
@@ -45,9 +46,10 @@ class JudgingGate:
 
     max_duration_s = 120.0
 
-    def __init__(self) -> None:
-        limits = LimitsConfig.model_validate({"zones": [PANE], "max_speed_m_s": 2.0})
-        self.paths = PathLimiter(motion_rules(limits, PROFILE), PROFILE, inspect)
+    def __init__(self, **more: float) -> None:
+        limits = LimitsConfig.model_validate({"zones": [PANE], "max_speed_m_s": 2.0, **more})
+        self.rules = motion_rules(limits, PROFILE)
+        self.paths = PathLimiter(self.rules, PROFILE, inspect)
         self.here: JointSample | None = JointSample(names=NAMES, position=np.zeros(2))
         self.requests: list[Any] = []
 
@@ -57,10 +59,13 @@ class JudgingGate:
     def slowdown(self, request: Any) -> float:
         return 1.0
 
+    def joint_limits(self, exposed: Any) -> Mapping[str, JointLimit]:
+        return JointLimit.by_joint(PROFILE, self.rules)
+
     def ask(self, exposed: Any, request: Any) -> Verdict:
         self.requests.append(request)
         try:
-            legs = check_joints(JointLimit.by_joint(PROFILE), request.messages, request.joints)
+            legs = check_joints(self.joint_limits(exposed), request.messages, request.joints)
             self.paths.check(legs, request.joints)
         except RefusedError as error:
             return Verdict(allowed=False, simulated=True, reason=str(error), rule=error.rule)
@@ -72,8 +77,7 @@ def gate() -> JudgingGate:
     return JudgingGate()
 
 
-@pytest.fixture
-def mover(gate: JudgingGate) -> JointMover:
+def mover_of(gate: JudgingGate) -> JointMover:
     exposed: Any = SimpleNamespace(
         profile=PROFILE, robot="arm", namespace="arm", endpoint=SimpleNamespace(name="trajectory")
     )
@@ -84,6 +88,25 @@ def mover(gate: JudgingGate) -> JointMover:
     )
     judging: Any = gate
     return JointMover(exposed, JointLimit.by_joint(PROFILE), judging, host)
+
+
+@pytest.fixture
+def mover(gate: JudgingGate) -> JointMover:
+    return mover_of(gate)
+
+
+@pytest.mark.parametrize("fraction", ["velocity_fraction", "acceleration_fraction"])
+@pytest.mark.parametrize("share", [0.02, 0.1, 0.3, 1.0])
+def test_a_move_without_a_duration_is_as_slow_as_the_limits_in_force(
+    fraction: str, share: float
+) -> None:
+    gate = JudgingGate(**{fraction: share})
+    mover_of(gate).check_path([{"x": 0.4}, {"x": 0.0}], CONTEXT)  # it would raise
+    usual, slow = JudgingGate(), gate
+    mover_of(usual).check_path([{"x": 0.4}, {"x": 0.0}], CONTEXT)
+    lasts_s = [found.requests[0].send_at_s[1] for found in (usual, slow)]
+    assert lasts_s[1] >= lasts_s[0]
+    assert lasts_s[1] > lasts_s[0] or share == 1.0 or fraction == "acceleration_fraction"
 
 
 def test_steps_that_are_allowed_one_after_the_other_pass(

@@ -99,6 +99,9 @@ class Arm:
     def slowdown(self, request: GateRequest) -> float:
         return 1.0
 
+    def joint_limits(self, exposed: Any) -> Any:
+        return {}  # none beyond those that the mover was made with
+
     def play(
         self,
         exposed: Any,

@@ -215,7 +215,8 @@ class JointMover:
             nearest_goals(arguments.positions, joints, self._limits),
             arguments.duration_s,
         )
-        duration_s = asked_s or easy_s(target, joints, self._limits)
+        in_force = {**self._limits, **self._gate.joint_limits(self._exposed)}
+        duration_s = asked_s or easy_s(target, joints, in_force)
         request = gate_request(
             context,
             "move_joints",
