@@ -99,7 +99,7 @@ def test_forward_matches_the_closed_form_of_a_planar_arm():
 
 
 def test_a_link_may_have_the_name_of_its_joint():
-    """Public descriptions name a fixed joint as the link that it carries, at the base or the TCP."""
+    """Public descriptions name a fixed joint as the link that it carries, at base or TCP."""
     chain = random_chain(["revolute"] * 4, seed=3)
     profile = RobotProfile(
         name="chain",

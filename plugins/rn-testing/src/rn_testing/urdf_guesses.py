@@ -20,7 +20,7 @@ NO_GRIPPER = "none"
 """Value of `--gripper` for an arm without one."""
 _FINGERS = re.compile(r"(?i)finger|gripper|jaw|claw|knuckle|thumb|(?<![a-z])grip(?![a-z])")
 _SENSORS = re.compile(
-    r"(?i)camera|optical|sensor|imu|laser|range|depth|color|infra|(?<![a-z])ft(?![a-z])"
+    r"(?i)camera|optical|sensor|imu|accel|laser|range|depth|color|infra|(?<![a-z])ft(?![a-z])"
 )
 _TOOLS = (
     (re.compile(r"(?i)tcp"), "'tcp' in its name"),
