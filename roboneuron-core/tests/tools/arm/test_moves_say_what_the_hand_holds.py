@@ -217,10 +217,7 @@ def test_what_slips_out_on_the_way_is_lost_and_what_is_let_go_is_not(arm: Arm) -
 
 def test_a_finger_that_something_blocks_grasps(arm: Arm) -> None:
     gate: Any = arm
-    limits = {
-        "j1": JointLimit(lower=-1, upper=1, velocity=1, acceleration=1),
-        "finger": JointLimit(lower=0, upper=0.04),
-    }
+    limits = {"j1": LIMIT, "finger": JointLimit(lower=0, upper=0.04)}
     joint_mover = JointMover(exposed(), limits, gate, arm.host)
     moved = anyio.run(joint_mover, MoveJoints(positions={"finger": 0.0}), CONTEXT)
     assert (moved.holding, moved.error, moved.position["finger"]) == (True, 0.0, OBJECT_M)
