@@ -14,6 +14,7 @@ import anyio
 import numpy as np
 import pytest
 from mcp import Client, types
+from pydantic import Field
 
 from rn_standard.tasks.history import TaskHistory
 from rn_standard.tasks.plugin import FEATURE
@@ -74,6 +75,7 @@ class Changed(Result):
 
     id: str = "run-7"
     started_with: dict[str, str]
+    started: list[dict[str, Any]] = Field(default_factory=list)
 
 
 async def changed(arguments: Change, context: CallContext) -> Changed:
@@ -232,6 +234,24 @@ def test_changes_are_told_one_by_one_also_refused_ones_without_a_speed(
     assert json.loads(entries[-1]["instruction"]) == told
     assert all("max_tcp_speed_m_s" not in one for one in entries)
     assert {one["kind"] for one in journal(call)["entries"]} == {kind, "tool"}
+
+
+def test_a_start_of_several_modules_tells_its_policy_first(
+    application: Application, call: Callable[..., types.CallToolResult]
+) -> None:
+    async def started(arguments: Change, context: CallContext) -> Changed:
+        modules = [
+            {"module": "robot", "started_with": {"driver": "simulated"}},
+            {"module": "inference", "started_with": {"backend": "servo"}},
+        ]
+        return Changed(id="", started_with={}, started=modules)
+
+    application.tools.add_all([replace(change("switch_control"), handler=started)])
+    call("switch_control")
+    (entry,) = journal(call, kind="switch")["entries"]
+    words = json.loads(entry["instruction"])
+    assert next(iter(words.items())) == ("inference", {"backend": "servo"})
+    assert words["robot"] == {"driver": "simulated"}
 
 
 def test_a_change_without_a_call_is_told_with_who_made_it(

@@ -35,7 +35,7 @@ _CHANGES: Mapping[str, Kind] = {
     **dict.fromkeys(("start_inference", "stop_inference", "start_all", "stop_all"), "switch"),
 }
 """Tools that move nothing; one that gives an instruction is an instruction."""
-_TOLD = ("id", "started_with", "replaced")
+_TOLD = ("id", "module", "started_with", "replaced")
 """Fields of the answers of `_CHANGES` that belong to their words."""
 _UNMOVED = frozenset({"invalid_input", "internal"})
 """Codes of errors of calls that have moved nothing."""
@@ -267,7 +267,15 @@ def _kind(tool: str) -> Kind:
 
 
 def _told(answer: Mapping[str, object]) -> dict[str, object]:
-    return {name: answer[name] for name in _TOLD if answer.get(name)}
+    started = answer.get("started")
+    modules = {
+        str(one["module"]): one["started_with"]
+        for one in (started if isinstance(started, list) else ())
+        if isinstance(one, Mapping) and one.get("started_with")
+    }
+    # the policy first: words are bounded
+    named = {name: modules[name] for name in sorted(modules, key=lambda name: name != "inference")}
+    return {**{name: answer[name] for name in _TOLD if answer.get(name)}, **named}
 
 
 def _limits(report: Report | None) -> dict[str, int]:
