@@ -43,7 +43,14 @@ class JointTopicOptions(BaseModel):
         description="sensor_msgs/JointState, by the names of the robot that follows",
     )
     switch: str = Field(
-        default="/leader/switch", description="std_msgs/Bool, true while the person holds it"
+        default="/leader/switch",
+        description="std_msgs/Bool, true while the person holds it, and then repeated",
+    )
+    switch_s: float = Field(
+        default=0.5,
+        gt=0,
+        le=5,
+        description="how long one `true` counts: whoever reads the switch may have ended",
     )
 
 
@@ -125,7 +132,7 @@ class JointTopic:
         self._arm = frozenset(profile.arm_joints)
         self._gripper = profile.gripper
         self._newest = _Newest()
-        self._is_held = False
+        self._held_until_s = -math.inf
         self._ends: list[Callable[[], None]] = []
 
     def open(self, subscribe: Subscribe) -> None:
@@ -147,7 +154,9 @@ class JointTopic:
             end()
 
     def _press(self, message: Bool) -> None:
-        self._is_held = bool(message.data)
+        self._held_until_s = (
+            time.monotonic() + self._options.switch_s if message.data else -math.inf
+        )
 
     def _take(self, message: JointState) -> None:
         try:
@@ -170,4 +179,5 @@ class JointTopic:
             if math.isfinite(opening):
                 opening = gripper.to_opening(opening)
         positions = {name: found[name] for name in sorted(self._arm)}
-        self._newest.put(is_held=self._is_held, positions=positions, gripper_open=opening)
+        is_held = time.monotonic() < self._held_until_s
+        self._newest.put(is_held=is_held, positions=positions, gripper_open=opening)
