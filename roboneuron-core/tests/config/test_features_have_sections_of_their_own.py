@@ -21,6 +21,8 @@ PAIR = FeatureSpec(
     config=f"{__name__}:PairSections",
     sections=("left", "right"),
 )
+LAX = FeatureSpec(name="lax", summary="Takes anything.", target="m:F", config=f"{__name__}:Lax")
+"""Its model does not ask for strict values."""
 
 
 def _models() -> None:
@@ -28,7 +30,7 @@ def _models() -> None:
     import sys
     import types
 
-    from pydantic import Field
+    from pydantic import BaseModel, Field
 
     from roboneuron import Section
 
@@ -42,12 +44,17 @@ def _models() -> None:
         left: Left = Left()
         right: tuple[Left, ...] = Field(default=(), strict=False)
 
+    class Lax(BaseModel):
+        port: int = 1
+        is_on: bool = False
+
     module = sys.modules.setdefault(__name__, types.ModuleType(__name__))
     module.RecorderSection, module.PairSections = RecorderSection, PairSections  # type: ignore[attr-defined]
+    module.Lax = Lax  # type: ignore[attr-defined]
 
 
 _models()
-REGISTRY = fake_registry(RECORDER, PAIR)
+REGISTRY = fake_registry(RECORDER, PAIR, LAX)
 
 
 def test_a_section_is_read_into_the_features_own_model():
@@ -72,6 +79,9 @@ def test_a_section_is_read_into_the_features_own_model():
             "[run_recorder]\nrate_hz = -1.0\n",
             "run_recorder.rate_hz = -1.0: input should be greater than 0",
         ),
+        ("[lax]\nport = true\n", "lax.port = True: input should be a valid integer"),
+        ('[lax]\nport = "80"\n', "lax.port = '80': input should be a valid integer"),
+        ("[lax]\nis_on = 1\n", "lax.is_on = 1: input should be a valid boolean"),
         ("[left]\ndeep = 3\n", "unknown key 'left.deep'. Did you mean 'depth'?"),
         ("[[right]]\ndepth = 'x'\n", "right.0.depth = 'x'"),
         ("sections = 3\n", "unknown key 'sections'"),

@@ -123,7 +123,7 @@ def load_options(
                 f"{place}.{next(iter(options))} is unknown: {spec.name!r} takes no options."
             )
         return None
-    made, problems = read_table(model, options, place, strict=True, is_partial=is_partial)
+    made, problems = read_table(model, options, place, is_partial=is_partial)
     if problems:
         raise ConfigurationError(" ".join(problems))
     return made
@@ -134,7 +134,6 @@ def read_table(
     values: object,
     place: str = "",
     *,
-    strict: bool | None = None,
     is_partial: bool = False,
 ) -> tuple[M | None, list[str]]:
     """Parse a table of a configuration as its model; otherwise return a sentence for each unknown,
@@ -142,9 +141,8 @@ def read_table(
 
     Args:
         model: model of the table.
-        values: as in the file; validated like JSON.
+        values: as in the file; validated like JSON, without conversions whatever the model allows.
         place: key of the table; empty for the whole file.
-        strict: no conversion of values; None for the model's own setting.
         is_partial: as of `load_options`; for such errors there is neither a model nor a problem.
     """
     from pydantic import ValidationError  # heavy
@@ -154,7 +152,7 @@ def read_table(
     if unknown:
         return None, [explain_unknown(f"{place}.{key}".lstrip("."), valid) for key in unknown]
     try:
-        return model.model_validate_json(json.dumps(values, default=_plain), strict=strict), []
+        return model.model_validate_json(json.dumps(values, default=_plain), strict=True), []
     except ValidationError as error:
         return None, list(_explain(error, model, place, is_partial))
 
