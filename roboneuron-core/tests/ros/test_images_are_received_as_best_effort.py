@@ -62,3 +62,31 @@ def test_images_and_clouds_are_best_effort_and_arrive() -> None:
             end()
     finally:
         link.close()
+
+
+def test_a_publisher_that_comes_later_is_received_whatever_it_offers() -> None:
+    from rclpy.qos import QoSProfile, ReliabilityPolicy
+    from sensor_msgs.msg import JointState
+
+    from roboneuron.ros.link import RosLink
+
+    link, others = RosLink("early_listener"), RosLink("late_sender")
+    link.open()
+    others.open()
+    topic, received = "/late/joint_states", list[object]()
+    try:
+        end = link.follow(JointState, topic, received.append)
+        for reliability in (ReliabilityPolicy.BEST_EFFORT, ReliabilityPolicy.RELIABLE):
+            send = others.advertise(JointState, topic, QoSProfile(depth=1, reliability=reliability))
+            name = reliability.name
+
+            def arrives(send=send, name=name) -> bool:  # type: ignore[no-untyped-def]
+                send(JointState(name=[name]))
+                return any(list(message.name) == [name] for message in received)  # type: ignore[attr-defined]
+
+            wait_until(arrives, 20.0, poll_s=0.05)
+        end()
+        wait_until(lambda: link.node.count_subscribers(topic) == 0, 10.0)
+    finally:
+        others.close()
+        link.close()

@@ -93,7 +93,7 @@ class TopicLeader:
 
         link = RosLink("lerobot_teleoperator")
         link.open()
-        link.subscribe(JointState, self._topic, self._take)
+        link.follow(JointState, self._topic, self._take)
         self._link = link
 
     def newest(self, wait_s: float) -> Led:

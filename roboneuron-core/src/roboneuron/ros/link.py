@@ -14,6 +14,7 @@ from typing import Any, TypeAlias, TypeVar
 import rclpy
 from rclpy.action import ActionClient
 from rclpy.client import Client
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.exceptions import InvalidHandle
 from rclpy.executors import ExternalShutdownException
 from rclpy.impl.implementation_singleton import rclpy_implementation
@@ -45,6 +46,43 @@ _LEAVE_S = 2.0
 """Timeout for the end of the executor and of its thread: a hanging callback must not block the
 server's exit.
 """
+
+
+class _Followed:
+    """A subscription that is made again when a publisher comes that offers less than the others;
+    used on the executor's thread.
+    """
+
+    def __init__(
+        self,
+        make: Callable[[Callable[[], None]], Callable[[], None]],
+        post: Callable[[Callable[[], None]], None],
+    ) -> None:
+        """Args:
+        make: subscribes by the publishers of now; gets what to call when one does not match, and
+            returns what ends the subscription.
+        post: has the executor call a function later: a subscription cannot end in its own event.
+        """
+        self._make, self._post = make, post
+        self._end: Callable[[], None] | None = None
+
+    def begin(self) -> None:
+        self._end = self._make(lambda: self._post(self._renew))
+
+    def finish(self) -> None:
+        end, self._end = self._end, None
+        if end is not None:
+            end()
+
+    def _renew(self) -> None:
+        if self._end is None:
+            return
+        try:
+            self.finish()
+            self.begin()
+        # a task of the executor has nobody to tell
+        except Exception:
+            log.exception("A subscription cannot be renewed.")
 
 
 class RosLink:
@@ -182,15 +220,21 @@ class RosLink:
         *,
         latched: bool = True,
     ) -> Callable[[], None]:
-        """Like `subscribe`, with the reliability of the present publishers, but best effort for
-        large messages (see `large_qos`); if `latched`, also receive the last message, if all
-        publishers keep it.
+        """Like `subscribe`, with the reliability of the publishers, also of later ones, but best
+        effort for large messages (see `large_qos`); if `latched`, also receive the last message,
+        if all publishers keep it.
         """
-        publishers = self.node.get_publishers_info_by_topic(topic)
-        qos = requested_qos(publishers, depth, latched=latched)
-        if is_large(message_type) and qos.durability != DurabilityPolicy.TRANSIENT_LOCAL:
-            qos = large_qos(depth)
-        return self.subscribe(message_type, topic, callback, qos)
+
+        def make(mismatched: Callable[[], None]) -> Callable[[], None]:
+            publishers = self.node.get_publishers_info_by_topic(topic)
+            qos = requested_qos(publishers, depth, latched=latched)
+            if is_large(message_type) and qos.durability != DurabilityPolicy.TRANSIENT_LOCAL:
+                qos = large_qos(depth)
+            return self.subscribe(message_type, topic, callback, qos, mismatched)
+
+        followed = _Followed(make, self._post)
+        self.on_executor(followed.begin)
+        return lambda: self.on_executor(followed.finish)
 
     def subscribe(
         self,
@@ -198,6 +242,7 @@ class RosLink:
         topic: str,
         callback: Callable[[M], None],
         qos: QoSProfile | None = None,
+        mismatched: Callable[[], None] | None = None,
     ) -> Callable[[], None]:
         """Subscribe to an absolute `topic`; the returned function ends it.
 
@@ -206,11 +251,16 @@ class RosLink:
             topic: absolute.
             callback: called on the executor's thread; its exceptions are logged.
             qos: profile of the subscription; the topic's usual one if None.
+            mismatched: called on that thread when a publisher offers less than `qos`, so that
+                nothing comes from it; logged by rclpy if None.
 
         Raises:
             RoboNeuronError: as `create`.
         """
         asked = qos or usual_qos(topic)
+        events = None
+        if mismatched is not None:
+            events = SubscriptionEventCallbacks(incompatible_qos=lambda _: mismatched())
 
         def deliver(message: M) -> None:
             try:
@@ -224,7 +274,9 @@ class RosLink:
             "subscription",
             topic,
             message_type,
-            lambda node: node.create_subscription(message_type, topic, deliver, asked),
+            lambda node: node.create_subscription(
+                message_type, topic, deliver, asked, event_callbacks=events
+            ),
         )
         return lambda: self.on_executor(lambda: node.destroy_subscription(subscription))
 

@@ -283,8 +283,8 @@ class Host:
         """Call `callback` with each message of a topic, on the thread of the ROS node; it must
         return quickly.
 
-        The subscription's reliability matches that of the present publishers; images and point
-        clouds are received as best effort, see `ros.qos.large_qos`.
+        The subscription's reliability matches that of the publishers; images and point clouds are
+        received as best effort, see `ros.qos.large_qos`.
 
         Args:
             message_type: an ordinary rosidl class.
