@@ -46,54 +46,44 @@ def hub(folder: Path) -> None:
     admit(folder, folder.with_name("far"), "gpu", PEER)
 
 
-def member(folder: Path, tmp_path: Path) -> None:
-    make_hub(tmp_path / "far")
-    admit(tmp_path / "far", folder, "gpu", PEER)
-
-
-def test_nothing_changes_without_a_link() -> None:
+@pytest.mark.parametrize("reason", ["no link", "no peer", "switched off", "damaged"])
+def test_without_a_link_nothing_changes(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, reason: str
+) -> None:
+    if reason != "no link":
+        make_hub(folder)
+    if reason in ("switched off", "damaged"):
+        admit(folder, folder.with_name("far"), "gpu", PEER)
+    if reason == "switched off":
+        monkeypatch.setenv("ROBONEURON_LINK", "off")
+    if reason == "damaged":
+        (folder / "link.json").write_text("{")
+        with pytest.raises(ConfigurationError, match="cannot be read"):
+            LinkFeature(LinkOptions()).check(CONFIG)
     before = dict(os.environ)
     join_link()
     assert dict(os.environ) == before
+    assert not uses_link()
+    assert ("cannot be read" in caplog.text) is (reason == "damaged")
 
 
-def test_nothing_changes_without_a_peer(folder: Path) -> None:
-    make_hub(folder)
-    before = dict(os.environ)
-    join_link()
-    assert dict(os.environ) == before
-
-
-def test_a_process_of_the_hub_gets_the_profile(folder: Path) -> None:
-    hub(folder)
-    join_link()
-    join_link()
-    assert [os.environ[name] for name in CHANGED] == [
-        str(folder / "fastdds.xml"),
-        "SYSTEM_DEFAULT",
-    ]
-    assert uses_link()
-
-
-def test_every_process_of_a_member_gets_the_profile(folder: Path, tmp_path: Path) -> None:
-    member(folder, tmp_path)
-    join_link()
-    program = "import os, rn_link.environment as e; e.join_link(); "
-    program += f"print([os.environ.get(name) for name in {CHANGED}])"
+@pytest.mark.parametrize("role", ["hub", "member"])
+def test_every_process_of_a_machine_gets_the_profile(
+    folder: Path, tmp_path: Path, role: str
+) -> None:
+    """Also where the profile that the project ships is set already."""
+    if role == "hub":
+        hub(folder)
+    else:
+        make_hub(tmp_path / "far")
+        admit(tmp_path / "far", folder, "gpu", PEER)
+    os.environ[CHANGED[0]] = str(files("roboneuron") / "data" / "fastdds.xml")
+    program = "import os, rn_link.environment as e; e.join_link(); e.join_link(); "
+    program += f"print([*map(os.environ.get, {CHANGED}), e.uses_link()])"
     made = subprocess.run(
         [sys.executable, "-c", program], capture_output=True, text=True, check=True
     ).stdout
-    assert made.strip() == str([str(folder / "fastdds.xml"), "SYSTEM_DEFAULT"])
-
-
-def test_a_process_can_stay_on_its_machine(
-    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    member(folder, tmp_path)
-    monkeypatch.setenv("ROBONEURON_LINK", "off")
-    join_link()
-    assert not any(name in os.environ for name in CHANGED)
-    assert not uses_link()
+    assert made.strip() == str([str(folder / "fastdds.xml"), "SYSTEM_DEFAULT", True])
 
 
 def relays() -> list[psutil.Process]:
@@ -156,25 +146,6 @@ def test_what_contradicts_the_link_is_refused(
     with pytest.raises(ConfigurationError, match=f"{name} is 'mine'"):
         check_unopposed(os.environ, folder)
     with pytest.raises(ConfigurationError, match=name):
-        LinkFeature(LinkOptions()).check(CONFIG)
-
-
-def test_the_shipped_profile_gives_way(folder: Path) -> None:
-    hub(folder)
-    os.environ[CHANGED[0]] = str(files("roboneuron") / "data" / "fastdds.xml")
-    join_link()
-    assert os.environ[CHANGED[0]] == str(folder / "fastdds.xml")
-
-
-def test_a_damaged_link_is_told_and_not_used(
-    folder: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    hub(folder)
-    (folder / "link.json").write_text("{")
-    join_link()
-    assert "cannot be read" in caplog.text
-    assert not any(name in os.environ for name in CHANGED)
-    with pytest.raises(ConfigurationError, match="cannot be read"):
         LinkFeature(LinkOptions()).check(CONFIG)
 
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 import asyncio
 import socket
 import struct
-from contextlib import suppress
+from collections.abc import AsyncIterator
+from contextlib import ExitStack, asynccontextmanager, closing, suppress
 from pathlib import Path
 
 import pytest
 
 from rn_link import ports
-from rn_link.machine import DISCOVERY_PORT
+from rn_link.machine import DISCOVERY_PORT, THERE
 from rn_link.ports import ParticipantPort, Ports
 
 SPDP = bytes.fromhex("000100c2")
@@ -93,18 +94,28 @@ async def meet(near: Participant, far: Participant) -> tuple[str, int]:
     await asyncio.sleep(0.05)  # until the relay knows it, as after a repeated announcement
     near.announce(RELAYS["robot"])
     place = await far.met()
-    assert place[0].startswith("127.90.")
+    assert place[0] == THERE
     assert place[1] != near.place.port
     return place
+
+
+@asynccontextmanager
+async def cell(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> AsyncIterator[tuple[Relays, Participant, Participant]]:
+    """Both relays, and a participant beside each."""
+    with ExitStack() as stack:
+        relays = Relays(folder, monkeypatch)
+        stack.callback(lambda: relays.close())
+        near, far = (stack.enter_context(closing(Participant(name))) for name in (b"near", b"far"))
+        yield relays, near, far
 
 
 def test_messages_reach_the_participant_that_announced_itself(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async def scenario() -> None:
-        relays = Relays(tmp_path, monkeypatch)
-        near, far = Participant(b"near"), Participant(b"far")
-        try:
+        async with cell(tmp_path, monkeypatch) as (relays, near, far):
             far.data.sendto(b"before", await meet(near, far))
             assert await near.receive(near.data) == b"before"
             # an open port that no participant has announced
@@ -115,10 +126,6 @@ def test_messages_reach_the_participant_that_announced_itself(
             assert await near.receive(near.data) == b"right"
             with pytest.raises(BlockingIOError):
                 far.data.recv(100)
-        finally:
-            relays.close()
-            near.close()
-            far.close()
 
     asyncio.run(scenario())
 
@@ -127,18 +134,12 @@ def test_the_next_relay_has_the_ports_of_the_last_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async def scenario() -> None:
-        relays = Relays(tmp_path, monkeypatch)
-        near, far = Participant(b"near"), Participant(b"far")
-        try:
+        async with cell(tmp_path, monkeypatch) as (relays, near, far):
             place = await meet(near, far)
             relays.close()
             relays.robot, relays.gpu = relays.open("robot"), relays.open("gpu")
             far.data.sendto(b"after", place)
             assert await near.receive(near.data) == b"after"
-        finally:
-            relays.close()
-            near.close()
-            far.close()
 
     asyncio.run(scenario())
 
@@ -151,7 +152,8 @@ def test_a_damaged_record_is_told_and_not_used(
     content: str,
 ) -> None:
     async def scenario() -> None:
-        Relays(tmp_path, monkeypatch).close()
+        async with cell(tmp_path, monkeypatch) as (_, near, far):
+            await meet(near, far)
 
     (tmp_path / "gpu.json").write_text(content)
     asyncio.run(scenario())
