@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Mapping, MutableMapping
+from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path
 
@@ -40,22 +40,13 @@ def join_link() -> None:
     try:
         machine = read_machine(folder)
         if machine is not None and machine.peers and os.environ.get(SWITCH) != "off":
-            set_link(os.environ, folder)
+            check_unopposed(os.environ, folder)
+            os.environ[PROFILE] = str(folder / "fastdds.xml")
+            # LOCALHOST, the project's default, would replace the profile's peers; the profile
+            # restricts ROS likewise
+            os.environ[RANGE] = "SYSTEM_DEFAULT"
     except ConfigurationError as error:
         log.warning("This process does not use the link: %s", error)
-
-
-def set_link(environment: MutableMapping[str, str], folder: Path) -> None:
-    """Set the environment of a process on a machine with a link.
-
-    Raises:
-        ConfigurationError: a variable of the user conflicts with it.
-    """
-    check_unopposed(environment, folder)
-    environment[PROFILE] = str(folder / "fastdds.xml")
-    # LOCALHOST, the project's default, would replace the profile's peers; the profile restricts ROS
-    # likewise
-    environment[RANGE] = "SYSTEM_DEFAULT"
 
 
 def uses_link() -> bool:
