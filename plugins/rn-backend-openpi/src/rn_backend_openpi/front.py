@@ -14,7 +14,6 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from datetime import UTC, datetime
 from http import HTTPStatus
 from pathlib import Path
 from typing import Protocol
@@ -27,7 +26,7 @@ from rn_backend_openpi.description import READY
 from rn_backend_openpi.listener import Listener
 from rn_backend_openpi.messages import Document
 from rn_backend_openpi.processes import ModelProcess
-from rn_backend_openpi.security import Guard, valid_until
+from rn_backend_openpi.security import Guard
 from rn_backend_openpi.server_options import PolicyServerOptions, ServedModelOptions
 from rn_backend_openpi.statistics import Times
 from rn_backend_openpi.status_page import STATUS, page
@@ -180,7 +179,6 @@ class PolicyServer:
                 if now_s - looked_s < _KEYS_LOOK_S:
                     continue
                 looked_s = now_s
-                self._drop_expired()
                 self._tell_refusals(now_s)
                 if self._guard.has_changed():
                     log.warning("The keys of the link have changed; robots must reconnect.")
@@ -252,15 +250,6 @@ class PolicyServer:
 
     def _status_page(self) -> tuple[HTTPStatus, str]:
         return HTTPStatus.OK, json.dumps(self.status())
-
-    def _drop_expired(self) -> None:
-        """Disconnect robots whose certificate has expired."""
-        now = datetime.now(UTC)
-        for robot in list(self._robots.clients):
-            expires = valid_until(robot.transport.get_extra_info("ssl_object"))
-            if expires is not None and now > expires:
-                log.warning("The certificate of %s has expired.", robot.remote_address)
-                robot.transport.abort()
 
     def _tell_refusals(self, now_s: float) -> None:
         refused = self._robots.refused

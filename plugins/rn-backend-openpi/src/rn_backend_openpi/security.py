@@ -14,7 +14,6 @@ import stat
 from asyncio.trsock import TransportSocket
 from collections.abc import Sequence
 from contextlib import suppress
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 from urllib.parse import urlsplit
@@ -351,14 +350,6 @@ def _member_context() -> ssl.SSLContext:
         return tls_context(machine, folder, hub)
     except OSError as error:
         raise ConfigurationError(f"The keys of the link cannot be used: {error}.") from error
-
-
-def valid_until(tls: ssl.SSLObject | None) -> datetime | None:
-    """Expiry of the peer's certificate; None without one."""
-    shown = None if tls is None else tls.getpeercert()
-    if not shown:
-        return None
-    return datetime.fromtimestamp(ssl.cert_time_to_seconds(str(shown["notAfter"])), UTC)
 
 
 def tune(connected: socket.socket | TransportSocket, silent_s: float) -> None:
