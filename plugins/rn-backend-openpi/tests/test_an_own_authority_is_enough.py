@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from policy_servers import Robot, Serve, answers
 
-from roboneuron import ConfigurationError
+from roboneuron import ConfigurationError, NotReadyError
 
 pytestmark = [pytest.mark.timeout(200), pytest.mark.exhaustive]
 PAGE = (Path(__file__).parents[3] / "docs" / "two-machines.md").read_text(encoding="utf-8")
@@ -38,10 +38,13 @@ def test_a_robot_trusts_a_server_of_its_own_authority_and_no_other(
     server = serve(**in_folder(listen["listen"], keys))
     options = theirs["hosts"]["gpu"]["options"]
     assert answers(robot(server.address, **in_folder(options, keys)))
-    for name, told in (("ca", "not trusted"), ("token_file", "refuses the token")):
+    for name, told in (("ca_file", "not trusted"), ("token_file", "HTTP 401")):
         mixed = in_folder(options, keys) | in_folder({name: options[name]}, tmp_path / "others")
         with pytest.raises(ConfigurationError, match=told):
             robot(server.address, **mixed)
+    clear = {"token_file": str(keys / "robots.token"), "start_timeout_s": 0.5}
+    with pytest.raises(NotReadyError, match="closed the connection without an answer"):
+        robot(server.address, **clear)
 
 
 def in_folder(options: dict[str, str], folder: Path) -> dict[str, str]:

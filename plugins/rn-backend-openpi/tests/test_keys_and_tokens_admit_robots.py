@@ -19,12 +19,11 @@ from policy_servers import (
 from rn_backend_openpi.options import PolicyOptions
 from rn_backend_openpi.security import Guard, is_loopback, place_of
 from rn_backend_openpi.server_options import ListenOptions
-from rn_link.keys import new_identity, remove_peer, write_private
+from rn_link.keys import remove_peer
 from rn_testing.waiting import wait_until
 from roboneuron import (
     ConfigurationError,
     MissingDependencyError,
-    NotReadyError,
 )
 
 pytestmark = pytest.mark.timeout(200)
@@ -172,28 +171,6 @@ def test_machines_that_are_not_paired_are_told_to_pair(
         place_of(PolicyOptions(address="elsewhere:7420"))
     with pytest.raises(ConfigurationError, match="the hub of its link"):
         Guard(ListenOptions())
-
-
-@pytest.mark.exhaustive
-def test_a_token_goes_over_tls_where_the_servers_certificate_is_known(
-    serve: Serve, robot: Robot, tmp_path: Path
-) -> None:
-    identity = new_identity()
-    write_private(tmp_path / "server.pem", identity.certificate)
-    write_private(tmp_path / "server.key", identity.key)
-    write_private(tmp_path / "other.pem", new_identity().certificate)
-    server = serve(
-        keys="token",
-        host="0.0.0.0",
-        certificate=str(tmp_path / "server.pem"),
-        key=str(tmp_path / "server.key"),
-    )
-    options = {"token_file": str(tmp_path / "token"), "coding": "raw"}
-    assert answers(robot(server.address, ca_file=str(tmp_path / "server.pem"), **options))
-    with pytest.raises(ConfigurationError, match="not trusted"):
-        robot(server.address, ca_file=str(tmp_path / "other.pem"), **options)
-    with pytest.raises(NotReadyError, match="closed the connection without an answer"):
-        robot(server.address, start_timeout_s=0.5, **options)
 
 
 def test_without_rn_link_a_person_is_told_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
