@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from roboneuron.gate.motion.speeds import Speeds, shortest_s
+from roboneuron.gate.motion.acceleration import Speeds, shortest_s
 
 REST = Speeds(0.0, 0.0)
 FREE = math.inf

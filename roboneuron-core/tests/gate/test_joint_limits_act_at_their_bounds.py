@@ -12,6 +12,7 @@ import pytest
 
 from roboneuron.contract import GripperProfile, JointLimits, RobotProfile
 from roboneuron.gate.motion import MotionRules
+from roboneuron.gate.motion.acceleration import JointAccelerations
 from roboneuron.gate.motion.joint_space import (
     JointLimit,
     JointSpace,
@@ -23,6 +24,10 @@ NAMES = ("a", "b")
 
 def space(*limits: JointLimit) -> JointSpace:
     return JointSpace(NAMES[: len(limits)], limits)
+
+
+def accelerations(*limits: JointLimit) -> JointAccelerations:
+    return JointAccelerations(NAMES[: len(limits)], limits)
 
 
 def violations(
@@ -271,7 +276,9 @@ def reach(
 ) -> tuple[list[float], str]:
     """After 0.25 s, 4 rad/s^2 give 1 rad/s."""
     limits = [JointLimit(acceleration=acceleration)] * len(before)
-    velocity, joint = space(*limits).nearest_velocity(np.array(before), np.array(wanted), 0.25)
+    velocity, joint = accelerations(*limits).nearest_velocity(
+        np.array(before), np.array(wanted), 0.25
+    )
     return velocity.tolist(), joint
 
 
@@ -316,7 +323,7 @@ def test_a_velocity_is_reached_as_far_as_acceleration_allows(
 def test_the_slack_of_an_acceleration_is_two_millionths(
     sign: float, change: float, can: bool
 ) -> None:
-    joints = space(JointLimit(acceleration=4.0))
+    joints = accelerations(JointLimit(acceleration=4.0))
     assert (
         joints.is_reachable(np.array([sign * 0.5]), np.array([sign * (0.5 + change)]), 0.25) is can
     )
@@ -326,13 +333,13 @@ def test_the_slack_of_an_acceleration_is_two_millionths(
 
 
 def test_in_no_time_a_velocity_only_stays_as_it_is() -> None:
-    joints = space(JointLimit(acceleration=4.0))
+    joints = accelerations(JointLimit(acceleration=4.0))
     for change, can in ((0.0, True), (1e-12, True), (2e-12, False)):
         assert joints.is_reachable(np.zeros(1), np.array([change]), 0.0) is can
 
 
 def test_every_joint_has_to_reach_its_velocity() -> None:
-    joints = space(JointLimit(acceleration=4.0), JointLimit(acceleration=8.0))
+    joints = accelerations(JointLimit(acceleration=4.0), JointLimit(acceleration=8.0))
     assert joints.is_reachable(np.zeros(2), np.array([1.0, 2.0]), 0.25)
     assert not joints.is_reachable(np.zeros(2), np.array([2.0, 1.0]), 0.25)
     assert not joints.is_reachable(np.zeros(2), np.array([1.0, 2.5]), 0.25)
@@ -340,8 +347,8 @@ def test_every_joint_has_to_reach_its_velocity() -> None:
 
 @pytest.mark.parametrize(("first", "second"), [(1, 2), (2, 1)])
 def test_no_joint_is_left_unchecked_when_arrays_are_too_short(first: int, second: int) -> None:
-    joints = space(*[JointLimit()] * 2)
+    limits = [JointLimit()] * 2
     with pytest.raises(ValueError, match="zip"):
-        list(joints.violations(np.zeros(first), np.zeros(second), 1.0))
+        list(space(*limits).violations(np.zeros(first), np.zeros(second), 1.0))
     with pytest.raises(ValueError, match="zip"):
-        joints.is_reachable(np.zeros(first), np.zeros(second), 1.0)
+        accelerations(*limits).is_reachable(np.zeros(first), np.zeros(second), 1.0)

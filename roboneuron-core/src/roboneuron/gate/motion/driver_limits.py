@@ -11,6 +11,7 @@ import numpy as np
 
 from roboneuron.contract import JointCommand, JointSample, RobotProfile
 from roboneuron.errors import RefusedError
+from roboneuron.gate.motion import acceleration
 from roboneuron.gate.motion.command import FARTHEST
 from roboneuron.gate.motion.joint_space import JointLimit
 from roboneuron.gate.motion.limiter import LOST, LOST_M
@@ -215,7 +216,7 @@ class DriverLimiter:
                     f"{allowed:.4g}."
                 )
             along = max(0.0, math.copysign(1.0, change) * velocity)
-            change_s = _acceleration_s(distance, along, limit.acceleration * most, since_s)
+            change_s = acceleration.change_s(distance, along, limit.acceleration * most, since_s)
             if change_s > needed_s:
                 needed_s = change_s
                 acted.append("acceleration")
@@ -333,19 +334,3 @@ class DriverLimiter:
                     continue
                 after[name] = _Travel(start, target - start, command.duration_s, now_s)
         return after
-
-
-def _acceleration_s(distance: float, along: float, acceleration: float, since_s: float) -> float:
-    """Shortest duration [s] of a command over `distance` for a joint that moves at `along` >= 0
-    towards it, by its acceleration.
-
-    The mean velocities of two commands differ by at most the acceleration times the time between
-    the middles of the commands. From rest, `since_s` is infinite, the time is that of the command.
-    """
-    if distance == 0.0 or math.isinf(acceleration):
-        return 0.0
-    if math.isinf(since_s):
-        return math.sqrt(distance / acceleration)
-    # distance / t <= along + acceleration * (since_s + t) / 2, solved for t
-    half = along + acceleration * since_s / 2.0
-    return (math.sqrt(half * half + 2.0 * acceleration * distance) - half) / acceleration

@@ -14,9 +14,9 @@ import numpy as np
 from roboneuron.contract import JointSample
 from roboneuron.errors import RefusedError
 from roboneuron.gate.motion import joint_space
+from roboneuron.gate.motion.acceleration import Speeds, shortest_s
 from roboneuron.gate.motion.driver_limits import MOST_POINTS
 from roboneuron.gate.motion.path_limits import Leg
-from roboneuron.gate.motion.speeds import Speeds, shortest_s
 
 __all__ = ["check_joints"]
 """Names that other distributions may use."""

@@ -1,4 +1,6 @@
-"""Limits of the joints: position, velocity (also position-dependent), acceleration, effort."""
+"""Limits of the joints on position and velocity (also position-dependent); see `acceleration` for
+the changes of velocity.
+"""
 
 from __future__ import annotations
 
@@ -6,8 +8,6 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
-
-import numpy as np
 
 from roboneuron.contract import F64, RobotProfile, nearest_turn
 from roboneuron.gate.motion.rules import MotionRules
@@ -129,18 +129,14 @@ class JointLimit:
 
 
 class JointSpace:
-    """Limits of n arm joints on successive commands; stateless. Arrays are float64 (n,).
+    """Limits of n arm joints on the place and the velocity of each command; stateless. Arrays are
+    float64 (n,).
 
     Plain floats are used inside: for seven joints a loop over them is faster than numpy calls.
-
-    Attributes:
-        braking: largest acceleration of each joint [per s^2].
     """
 
     def __init__(self, names: Sequence[str], limits: Sequence[JointLimit]) -> None:
         self._names, self._limits = names, limits
-        self._acceleration = [limit.acceleration for limit in limits]
-        self.braking = np.array(self._acceleration)
 
     def violations(
         self, start: F64, change: F64, step_s: float
@@ -177,87 +173,3 @@ class JointSpace:
         for quantity, (share, reason) in (("position", position), ("velocity", velocity)):
             if reason:
                 yield quantity, share, reason
-
-    def arrival(self, change: F64, goal_velocity: F64, step_s: float) -> tuple[float, str]:
-        """The fraction of `change` in `step_s` after which each joint can still stop at its goal,
-        and the limiting joint.
-
-        Relative to the goal, which may move, a joint is either slow enough to be stopped by the
-        next command, or it brakes from the end of this step on.
-
-        Args:
-            change: displacement to the goal.
-            goal_velocity: velocity of the goal [per s].
-            step_s: time of the step, and of the next one [s].
-
-        Returns:
-            The fraction, and "" if it is 1.
-        """
-        least, joint = 1.0, ""
-        for i, (length, moves) in enumerate(
-            zip(change.tolist(), goal_velocity.tolist(), strict=True)
-        ):
-            nearer = length - moves * step_s
-            # a goal that approaches by itself is not overtaken
-            if nearer * length <= 0.0:
-                continue
-            hardest = self._acceleration[i]
-            stopped = min(abs(nearer) / step_s, hardest * step_s)
-            if math.isfinite(hardest):
-                stopped = max(stopped, braking_velocity(abs(nearer), 0.0, hardest, step_s))
-            share = (moves + math.copysign(stopped, nearer)) * step_s / length
-            if share < least - _SLACK:
-                least, joint = max(0.0, share), self._names[i]
-        return least, joint
-
-    def nearest_velocity(self, before: F64, wanted: F64, passed_s: float) -> tuple[F64, str]:
-        """The velocity nearest to `wanted` that the joints can reach within `passed_s` after
-        `before`, and the limiting joint.
-
-        If possible it is a fraction of `wanted`, so that the direction is kept. If the arm is too
-        fast to turn or stop at once, it is the nearest velocity on the line from `before` to
-        `wanted`.
-
-        Returns:
-            The velocity, and "" if it is `wanted` itself.
-        """
-        if self.is_reachable(before, wanted, passed_s):
-            return wanted, ""
-        # Each joint allows an interval of factors s with |s * new - old| <= a_max * dt; the largest
-        # factor in all of them is taken.
-        least, most, joint = 0.0, 1.0, 0
-        for i, (old, new) in enumerate(zip(before.tolist(), wanted.tolist(), strict=True)):
-            most_change = self._acceleration[i] * passed_s
-            if new == 0.0:
-                least = math.inf if abs(old) > most_change else least
-                continue
-            low, high = sorted(((old - most_change) / new, (old + most_change) / new))
-            least = max(least, low)
-            if high < most:
-                most, joint = high, i
-        if least <= most:
-            return wanted * most, self._names[joint]
-        # No factor is in all of them: on the line between the two velocities, the joint with the
-        # least acceleration for its change decides how far the velocity gets.
-        change = (wanted - before).tolist()
-        parts = [
-            self._acceleration[i] * passed_s / abs(c) if c else math.inf
-            for i, c in enumerate(change)
-        ]
-        part = min(parts)
-        return before + (wanted - before) * part, self._names[parts.index(part)]
-
-    def is_reachable(self, before: F64, velocity: F64, passed_s: float) -> bool:
-        """Return True if the joints can reach `velocity` within `passed_s`: |v - v'| <= a_max * dt.
-
-        Args:
-            before, velocity: float64 (n,) [per s].
-            passed_s: time in between [s].
-        """
-        # twice the slack: a velocity that was scaled to the limit passes its second check
-        return all(
-            abs(new - old) <= most * passed_s * (1.0 + 2 * _SLACK) + 1e-12
-            for most, old, new in zip(
-                self._acceleration, before.tolist(), velocity.tolist(), strict=True
-            )
-        )

@@ -282,7 +282,7 @@ class MotionLimiter:
         """A setpoint, and its position and velocity at a monotonic time, in the turns that the
         robot counts: it may measure a continuous joint a whole turn from where it was sent.
         """
-        position, velocity = sent.at(now_s, self._shortener.joints.braking)
+        position, velocity = sent.at(now_s, self._shortener.accelerations.limits)
         near = self._span.nearest(measured, position)
         if near is position:
             return sent, position, velocity

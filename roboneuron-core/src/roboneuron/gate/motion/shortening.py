@@ -10,6 +10,7 @@ import numpy as np
 
 from roboneuron.contract import F64, STATE_STEP_S, JointSample, Pose, Posture, RobotProfile
 from roboneuron.errors import UnsafeError
+from roboneuron.gate.motion.acceleration import JointAccelerations
 from roboneuron.gate.motion.command import Step
 from roboneuron.gate.motion.joint_space import JointLimit, JointSpace
 from roboneuron.gate.motion.path import Reach, postures
@@ -52,7 +53,7 @@ class Shortener:
 
     Attributes:
         limits: of each joint with limits, by name.
-        joints: limits of the arm joints.
+        accelerations: limits of the arm joints' accelerations.
     """
 
     def __init__(
@@ -77,9 +78,9 @@ class Shortener:
         """Apply other rules from the next step on."""
         self._rules = rules
         self.limits = JointLimit.by_joint(self._profile, rules)
-        self.joints = JointSpace(
-            self._names, [self.limits.get(name, JointLimit()) for name in self._names]
-        )
+        limits = [self.limits.get(name, JointLimit()) for name in self._names]
+        self._joints = JointSpace(self._names, limits)
+        self.accelerations = JointAccelerations(self._names, limits)
         self._task = TaskSpace(rules)
 
     def shorten(self, step: Step) -> Motion:
@@ -101,11 +102,11 @@ class Shortener:
             # Check the result once more: scaling for one limit may violate another one.
             sent = largest(self._motions(step, measured, start, target))
             displacement = step.target - step.start
-            for name, _, reason in self.joints.violations(
+            for name, _, reason in self._joints.violations(
                 step.start, displacement, step.duration_s
             ):
                 raise Rejection(name, f"No part of the command is within the limits: {reason}")
-            if not self.joints.is_reachable(
+            if not self.accelerations.is_reachable(
                 step.before, displacement / step.duration_s, step.passed_s
             ):
                 raise Rejection(
@@ -133,10 +134,12 @@ class Shortener:
             return False
         displacement, least_s = step.target - step.start, step.duration_s
         most_s = min(least_s * times / _RESERVE, self._longest_s)
-        if not self.joints.is_reachable(step.before, displacement / most_s, step.passed_s):
+        if not self.accelerations.is_reachable(step.before, displacement / most_s, step.passed_s):
             for _ in range(_HALVINGS):  # it brakes no harder than the joints may
                 middle_s = (least_s + most_s) / 2.0
-                if self.joints.is_reachable(step.before, displacement / middle_s, step.passed_s):
+                if self.accelerations.is_reachable(
+                    step.before, displacement / middle_s, step.passed_s
+                ):
                     least_s = middle_s
                 else:
                     most_s = middle_s
@@ -170,14 +173,16 @@ class Shortener:
             parts = [_ratio(motion.step_m, motion.speed_m_s * step.duration_s) for motion in asked]
             parts += [_ratio(arm.step_rad, arm.turn_rad_s * step.duration_s) for arm in asked]
             share = max(0.0, 1.0 - (1.0 - _RESERVE / times) * max(parts))
-        for name, part, reason in self.joints.violations(step.start, displacement, step.duration_s):
+        for name, part, reason in self._joints.violations(
+            step.start, displacement, step.duration_s
+        ):
             self._act(step, name, reason)
             share = min(share, part)
         for arm, motion in zip(self._arms, asked, strict=True):
             for name, times, reason in self._task.excess(motion):
                 self._act(step, name, f"{arm}{reason}")
                 share = min(share, _RESERVE / times)
-        part, joint = self.joints.arrival(displacement, step.goal_velocity, step.duration_s)
+        part, joint = self.accelerations.arrival(displacement, step.goal_velocity, step.duration_s)
         if part < share:
             self._act(
                 step,
@@ -185,7 +190,7 @@ class Shortener:
                 f"{joint} could not stop at its goal: it would be too fast for its acceleration.",
             )
             share = part
-        velocity, joint = self.joints.nearest_velocity(
+        velocity, joint = self.accelerations.nearest_velocity(
             step.before, displacement * (share / step.duration_s), step.passed_s
         )
         if joint:

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 from roboneuron.contract import JointSample
 from roboneuron.gate.motion import joint_space
-from roboneuron.gate.motion.speeds import shortest_s
+from roboneuron.gate.motion.acceleration import shortest_s
 from roboneuron.tools.arm.joint_rest import position_of
 
 Limits = Mapping[str, joint_space.JointLimit]
