@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from roboneuron import CallContext, StateError, Tool
 from roboneuron.feature import StillReason
 
-_OURS = frozenset({"set_instruction"})
+CHANGES_POLICY = frozenset({"set_instruction"})
 """Tools that would change the policy's behaviour during a task."""
 
 
@@ -68,11 +68,10 @@ class TaskArbiter:
                 self._halt.set()
             return self._idle.wait_for(lambda: self._halt is None, timeout_s)
 
-    def admit(self, tool: Tool, context: CallContext) -> None:
-        """Refuse calls that would change the policy's behaviour during a task."""
-        if tool.name in _OURS:
-            for reason in self.still_reasons():
-                raise reason.refusal()
+    def check_idle(self, tool: Tool, context: CallContext) -> None:
+        """Raise RefusedError during a task."""
+        for reason in self.still_reasons():
+            raise reason.refusal()
 
     def still_reasons(self) -> Sequence[StillReason]:
         """What a task keeps from moving the robot: everything else."""

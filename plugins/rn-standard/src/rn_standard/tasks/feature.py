@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rn_standard.tasks.approval import Approval, Subject
-from rn_standard.tasks.arbiter import TaskArbiter
+from rn_standard.tasks.arbiter import CHANGES_POLICY, TaskArbiter
 from rn_standard.tasks.events import LEADS, MONITORS, TASKS, EventLog, Watching, check_thresholds
 from rn_standard.tasks.history import MotionFacts, TaskHistory
 from rn_standard.tasks.hooks import MonitorSpec
@@ -149,7 +149,12 @@ class TasksFeature(Feature[TasksSections]):
         """See `Feature.interceptors`."""
         assert self._arbiter is not None
         return [
-            Interceptor(name="task", phase=CallPhase.ARBITRATION, check=self._arbiter.admit),
+            Interceptor(
+                name="task",
+                phase=CallPhase.ARBITRATION,
+                check=self._arbiter.check_idle,
+                tools=CHANGES_POLICY,
+            ),
             *self._approval.interceptors(),
         ]
 
