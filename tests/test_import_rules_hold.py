@@ -62,6 +62,7 @@ may import all. A module or a package in another one may have a line of its own.
 """
 ROOMS_OF_FILES = {
     "estop.emergency": "estop.server",
+    "estop.motion_claims": "estop.server",
     "estop.motion_starts": "estop.server",
     "estop.motion_stop": "estop.server",
     "estop.command": "cli",

@@ -92,9 +92,10 @@ PARTS = {
         files=(
             *(
                 f"gate/motion/{name}.py"
-                for name in ("path_limits", "path_watch", "joint_paths", "speeds")
+                for name in ("path_limits", "path_watch", "joint_paths", "acceleration")
             ),
             "modules/arm_paths.py",
+            "estop/motion_claims.py",
             *(
                 f"direct_path/{name}.py"
                 for name in (

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from types import SimpleNamespace
 from typing import Any
 
 from roboneuron.direct_path.arbiter import MotionArbiter
 from roboneuron.direct_path.gate import Gate
+from roboneuron.estop.motion_claims import MotionClaims
 from roboneuron.feature import ExposedEndpoint
 
 
@@ -29,10 +29,23 @@ class Halt(threading.Event):
         return self.is_set()
 
 
+class Claims(MotionClaims):
+    """Claims beside policies of the test, a sentence each."""
+
+    def __init__(self) -> None:
+        nothing: Any = None
+        super().__init__(nothing)
+        self.policies: dict[str, str] = {}
+
+    def policy(self, robot: str, namespace: str) -> str:
+        return self.policies.get(robot, "")
+
+
 class Starts:
     """What has stopped the robot."""
 
     def __init__(self) -> None:
+        self.claims = Claims()
         self.arm_stops = 3
         self.reason = ""
         self.looks = 0
@@ -48,15 +61,13 @@ class Cell:
         self.gate = gate
         self.clock = clock
         self.starts: Any = Starts()
-        self.loop: Any = SimpleNamespace(starts=self.starts)
-        self.policies: dict[str, str] = {}
+        self.policies = self.starts.claims.policies
+        gate.latch.on_press.append(self.starts.claims.stop_now)
+        gate.latch.on_pressed.append(self.starts.claims.wake)
         self.followed = [False]
         self.asked: list[str] = []
-        self.arbiter = MotionArbiter(gate, self.policy, self.loop, self.is_followed, 0.05)
+        self.arbiter = MotionArbiter(gate, self.starts, self.is_followed, 0.05)
         self.halt = Halt(clock)
-
-    def policy(self, exposed: ExposedEndpoint) -> str:
-        return self.policies.get(exposed.robot, "")
 
     def is_followed(self, exposed: ExposedEndpoint) -> bool:
         self.asked.append(exposed.label)

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -27,6 +27,7 @@ from roboneuron.direct_path.request import AllowedEndpoint
 from roboneuron.direct_path.writer import TopicWriter
 from roboneuron.errors import StateError
 from roboneuron.estop import EmergencyStopLatch
+from roboneuron.estop.motion_claims import MotionClaims
 from roboneuron.feature import ExposedEndpoint, GateRequest, TimedCommand
 from roboneuron.gate import AuditLog
 
@@ -264,11 +265,13 @@ class Bench:
         self._check, self._check_next = gate.check, gate.check_next
         gate.check = self.check  # type: ignore[method-assign]
         gate.check_next = self.check_next  # type: ignore[method-assign]
-        self.policy = ""
-        starts: Any = SimpleNamespace(look=lambda: None, arm_stops=0, reason="")
-        self.starts = starts
-        loop: Any = SimpleNamespace(starts=starts)
-        self.arbiter = MotionArbiter(gate, lambda exposed: self.policy, loop)
+        self.policy, nothing = "", cast("Any", None)
+        claims = MotionClaims(nothing)
+        claims.policy = lambda robot, namespace: self.policy  # type: ignore[method-assign]
+        self.starts: Any = SimpleNamespace(look=lambda: None, arm_stops=0, reason="", claims=claims)
+        gate.latch.on_press.append(claims.stop_now)
+        gate.latch.on_pressed.append(claims.wake)
+        self.arbiter = MotionArbiter(gate, self.starts)
         self.traffic = Traffic(clock)
         self.permitted: list[str] = []
         self.on_permit: Callable[[], object] = lambda: None

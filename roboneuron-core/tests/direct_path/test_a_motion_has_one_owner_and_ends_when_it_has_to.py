@@ -13,8 +13,8 @@ from arbiter_cell import Cell
 
 from roboneuron.contract import Endpoint
 from roboneuron.direct_path import arbiter as arbiter_module
-from roboneuron.direct_path.arbiter import ActiveMotion, MotionArbiter, MotionEnd
-from roboneuron.direct_path.exposed import ACTION_LABEL
+from roboneuron.direct_path.arbiter import ActiveMotion, MotionArbiter
+from roboneuron.direct_path.exposed import LEAD_LABEL
 from roboneuron.direct_path.gate import Gate
 from roboneuron.errors import NotReadyError, RefusedError, StateError
 from roboneuron.feature import ExposedEndpoint
@@ -64,16 +64,32 @@ def test_two_robots_move_at_a_time_and_one_robot_once(cell: Cell, place: Place) 
 def test_what_moves_nothing_is_free_and_used_by_one_at_a_time(cell: Cell, place: Place) -> None:
     look, other = place(name="scan", moves=False), place(name="pose", moves=False)
     with cell.claim(look, "look"):
-        assert not cell.arbiter.is_moving
+        assert not cell.arbiter.claims.is_moving
         cell.arbiter.check_free(look)
         cell.arbiter.check_free(place())
         with pytest.raises(RefusedError, match=r"^look uses /arm/scan now"):
             cell.claim(look).__enter__()
         with cell.claim(other), cell.claim(place()):
-            assert cell.arbiter.is_moving
+            assert cell.arbiter.claims.is_moving
             cell.arbiter.check_free(look)
-    assert not cell.arbiter.is_moving
+    assert not cell.arbiter.claims.is_moving
     assert cell.starts.looks == 1, "only what moves asks what has stopped the robot"
+
+
+@pytest.mark.parametrize("is_ours", [True, False])
+def test_only_the_topic_of_a_lead_counts_as_a_lead(cell: Cell, place: Place, is_ours: bool) -> None:
+    """A robot may have an endpoint of that name."""
+    lead = place(label=LEAD_LABEL, control_input="lead" if is_ours else "")
+    with cell.claim(lead, "lead_arm"):
+        refused = nullcontext() if is_ours else pytest.raises(RefusedError, match="lead_arm moves")
+        with refused, cell.arbiter.claims.admit("pick"):
+            pass
+        told = [reason.rule for reason in cell.arbiter.claims.still_reasons()]
+        assert told == ([] if is_ours else ["ownership"]), "teleoperation says who leads"
+    cell.policies["arm"] = "The policy 'instant' moves 'arm'."
+    refused = nullcontext() if is_ours else pytest.raises(RefusedError, match="instant")
+    with refused:
+        cell.arbiter.check_free(lead)
 
 
 def test_a_robot_is_free_again_after_a_motion_that_failed(cell: Cell, place: Place) -> None:
@@ -139,7 +155,7 @@ def test_a_process_that_was_frozen_does_not_go_on_with_a_motion(cell: Cell, plac
 
 def test_a_motion_that_is_cancelled_says_so_or_why_it_was_ended(cell: Cell, place: Place) -> None:
     with cell.claim(place()) as motion:
-        motion.wake()
+        motion.halt.set()
         with pytest.raises(StateError, match=r"^The call was cancelled"):
             motion.check()
         motion.end("The lease has lapsed.")
@@ -168,7 +184,7 @@ def test_an_audit_that_fails_ends_a_motion(
 ) -> None:
     (tmp_path / "full").symlink_to("/dev/full")
     gate = make_gate(audit=AuditLog(tmp_path / "full", clock.wall_ns))
-    motion = ActiveMotion(gate, place(), "a test", cell.halt, lambda: "")
+    motion = ActiveMotion(gate, place(), "a test", cell.halt)
     motion.check()
     with pytest.raises(RefusedError):
         gate.check(ask(place().endpoint, {"linear": {"x": 0.1}}))
@@ -177,7 +193,7 @@ def test_an_audit_that_fails_ends_a_motion(
 
 
 def test_a_motion_without_a_say_of_stops_ends_for_none(cell: Cell, place: Place) -> None:
-    motion = ActiveMotion(cell.gate, place(), "a test", cell.halt, lambda: "")
+    motion = ActiveMotion(cell.gate, place(), "a test", cell.halt)
     motion.check()
     assert (motion.exposed.label, motion.what) == ("velocity", "a test")
     assert motion.stop_now() is None
@@ -187,9 +203,7 @@ def test_a_motion_without_a_say_of_stops_ends_for_none(cell: Cell, place: Place)
 def test_a_motion_ends_with_a_freeze_of_the_configured_length(
     cell: Cell, place: Place, limit_s: float, ends: bool
 ) -> None:
-    arbiter = MotionArbiter(
-        cell.gate, lambda exposed: "", cell.loop, lambda exposed: False, 0.0, limit_s
-    )
+    arbiter = MotionArbiter(cell.gate, cell.starts, lambda exposed: False, 0.0, limit_s)
     with arbiter.claim(place(), "a test", cell.halt) as motion:
         cell.clock.now_s += 1.0
         refused = pytest.raises(StateError, match=r"frozen for 1\.0 s")
@@ -246,7 +260,7 @@ def test_control_that_does_not_hold_in_time_keeps_a_motion_from_beginning(
 
 
 def test_control_may_take_all_of_its_time_to_hold(cell: Cell, place: Place) -> None:
-    arbiter = MotionArbiter(cell.gate, cell.policy, cell.loop, cell.is_followed, 0.0)
+    arbiter = MotionArbiter(cell.gate, cell.starts, cell.is_followed, 0.0)
     cell.followed = [True, False]
     with arbiter.claim(place(), "a test", cell.halt):
         assert cell.halt.waits_s == [0.01]
@@ -255,7 +269,7 @@ def test_control_may_take_all_of_its_time_to_hold(cell: Cell, place: Place) -> N
 def test_control_has_two_seconds_to_hold_when_nobody_gives_a_bound(
     cell: Cell, place: Place
 ) -> None:
-    arbiter = MotionArbiter(cell.gate, cell.policy, cell.loop, lambda exposed: True)
+    arbiter = MotionArbiter(cell.gate, cell.starts, lambda exposed: True)
     with pytest.raises(NotReadyError, match="nothing was sent"):
         arbiter.claim(place(), "a test", cell.halt).__enter__()
     assert sum(cell.halt.waits_s) == pytest.approx(2.0, abs=0.011)
@@ -271,12 +285,15 @@ def test_a_stop_ends_the_wait_for_the_hold(cell: Cell, place: Place) -> None:
 
 def test_actions_and_what_moves_nothing_do_not_wait_for_a_hold(cell: Cell, place: Place) -> None:
     cell.followed = [True]
-    with cell.claim(place(label=ACTION_LABEL)), cell.claim(place(name="scan", moves=False)):
+    with (
+        cell.claim(place(control_input="action")),
+        cell.claim(place(name="scan", moves=False)),
+    ):
         assert cell.asked == []
 
 
 def test_an_arbiter_that_knows_of_no_control_waits_for_none(cell: Cell, place: Place) -> None:
-    arbiter = MotionArbiter(cell.gate, lambda exposed: "", cell.loop)
+    arbiter = MotionArbiter(cell.gate, cell.starts)
     with arbiter.claim(place(), "a test", cell.halt):
         assert cell.halt.waits_s == []
 
@@ -310,7 +327,7 @@ def moving(cell: Cell, exposed: ExposedEndpoint, *, is_deaf: bool = False) -> tu
 def test_every_motion_is_ended_for_a_reason(cell: Cell, place: Place) -> None:
     (arm, arm_told), (base, base_told) = moving(cell, place("arm")), moving(cell, place("base"))
     assert cell.arbiter.end_all("The lease has lapsed.", 30.0)
-    assert not cell.arbiter.is_moving
+    assert not cell.arbiter.claims.is_moving
     for thread in (arm, base):
         thread.join(30.0)
     assert (arm_told, base_told) == (["The lease has lapsed."], ["The lease has lapsed."])
@@ -320,7 +337,7 @@ def test_every_motion_is_ended_for_a_reason(cell: Cell, place: Place) -> None:
 def test_only_the_motions_that_are_meant_are_ended_and_waited_for(cell: Cell, place: Place) -> None:
     (arm, arm_told), (base, base_told) = moving(cell, place("arm")), moving(cell, place("base"))
     assert cell.arbiter.end_all("First.", 30.0, lambda exposed: exposed.robot == "arm")
-    assert cell.arbiter.is_moving
+    assert cell.arbiter.claims.is_moving
     assert cell.arbiter.end_all("Second.", 30.0)
     for thread in (arm, base):
         thread.join(30.0)
@@ -335,42 +352,12 @@ def test_a_motion_that_does_not_end_in_time_is_told(cell: Cell, place: Place) ->
     thread.join(30.0)
 
 
-# How it is told
-
-
-@pytest.mark.parametrize(
-    ("total_s", "details", "text"),
-    [
-        (
-            None,
-            "",
-            "Ended early, after 1.50 s; nothing could be sent to end it: The call was cancelled.",
-        ),
-        (
-            2.0,
-            "at home",
-            "Ended early, after 1.50 s of the planned 2.00 s; nothing could be sent to end it "
-            "(at home): The call was cancelled.",
-        ),
-    ],
-)
-def test_a_motion_that_ended_early_tells_when_and_how(
-    total_s: float | None, details: str, text: str
-) -> None:
-    cause = StateError("The call was cancelled.", hint="Ask again.")
-    end = MotionEnd(after_s=1.5, total_s=total_s, details=details, cause=cause)
-    with pytest.raises(StateError) as caught:
-        end.check()
-    assert (caught.value.message, caught.value.hint) == (text, "Ask again.")
-    assert end.sent == 0
-
-
 def test_a_stop_waits_for_nobody_who_begins_or_ends_a_motion(cell: Cell, place: Place) -> None:
     """The list of motions is read in one step, without the lock."""
     sent: list[str] = []
     with cell.claim(place()) as motion:
         motion.stop_now = lambda: sent.append("stopped")
-        with cell.arbiter._lock:
+        with cell.arbiter.claims.admit(""):
             cell.gate.latch.press(who="a person", reason="a test")
         assert sent == ["stopped"]
         assert cell.halt.is_set()
@@ -381,7 +368,7 @@ def test_a_watch_ends_the_motion_that_it_was_set_for(cell: Cell, place: Place) -
         raise RefusedError("It is where it may not be.")
 
     with cell.claim(place("arm")) as arm, cell.claim(place("base")) as base:
-        cell.arbiter.watch(place("arm"), find_fault)
+        arm.watch = find_fault
         base.check()
         with pytest.raises(RefusedError, match="where it may not be"):
             arm.check()

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from roboneuron.contract import Endpoint, JointSample
-from roboneuron.direct_path.arbiter import Ending, MotionEnd
+from roboneuron.direct_path.delivery import Ending, MotionEnd
 from roboneuron.direct_path.gate import Gate
 from roboneuron.errors import NotReadyError, RefusedError, StateError
 from roboneuron.feature import ExposedEndpoint, GateRequest, TimedCommand
@@ -237,3 +237,30 @@ def test_the_emergency_stop_sends_what_ends_each_motion_and_wakes_its_thread(
         assert halt.is_set()
         with pytest.raises(RefusedError):
             motion.check()
+
+
+@pytest.mark.parametrize(
+    ("total_s", "details", "text"),
+    [
+        (
+            None,
+            "",
+            "Ended early, after 1.50 s; nothing could be sent to end it: The call was cancelled.",
+        ),
+        (
+            2.0,
+            "at home",
+            "Ended early, after 1.50 s of the planned 2.00 s; nothing could be sent to end it "
+            "(at home): The call was cancelled.",
+        ),
+    ],
+)
+def test_a_motion_that_ended_early_tells_when_and_how(
+    total_s: float | None, details: str, text: str
+) -> None:
+    cause = StateError("The call was cancelled.", hint="Ask again.")
+    end = MotionEnd(after_s=1.5, total_s=total_s, details=details, cause=cause)
+    with pytest.raises(StateError) as caught:
+        end.check()
+    assert (caught.value.message, caught.value.hint) == (text, "Ask again.")
+    assert end.sent == 0

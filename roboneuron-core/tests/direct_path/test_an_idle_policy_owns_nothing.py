@@ -21,20 +21,25 @@ from roboneuron.feature import ExposedEndpoint
 from roboneuron.server.app import Application
 
 TOOLS = {
-    "joints": ("joint_trajectory", False),
-    "ee": (ACTION_LABEL, True),
-    "publish": ("velocity", False),
-    "goal": ("plan", False),
-    "lead": (LEAD_LABEL, True),
+    "joints": ("joint_trajectory", ""),
+    "ee": (ACTION_LABEL, "action"),
+    "publish": ("velocity", ""),
+    "goal": ("plan", ""),
+    "lead": (LEAD_LABEL, "lead"),
 }
-"""Kinds of tools: label of the endpoint, and whether it is hidden."""
+"""Kinds of tools: label of the endpoint, and what control takes from it."""
 INSTRUCTION = "pick up the red cube"
 
 
 def endpoint(kind: str, robot: str = "gantry") -> ExposedEndpoint:
-    label, hidden = TOOLS[kind]
+    label, control_input = TOOLS[kind]
     made = SimpleNamespace(
-        robot=robot, namespace=robot, topic=label, label=label, hidden=hidden, moves=True
+        robot=robot,
+        namespace=robot,
+        topic=label,
+        label=label,
+        control_input=control_input,
+        moves=True,
     )
     return cast(ExposedEndpoint, made)
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from roboneuron.contract import JointSample
 from roboneuron.errors import RefusedError
-from roboneuron.gate.motion.speeds import Speeds, shortest_s
+from roboneuron.gate.motion.acceleration import Speeds, shortest_s
 
 A, FAST = 10.0, 100.0
 

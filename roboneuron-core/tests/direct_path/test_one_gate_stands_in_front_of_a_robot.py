@@ -14,7 +14,6 @@ import pytest
 
 from rn_testing.fakes import gantry_profile
 from roboneuron.contract import Endpoint
-from roboneuron.direct_path.exposed import ACTION_LABEL
 from roboneuron.direct_path.feature import DirectPath, direct_path
 from roboneuron.direct_path.plugin import FEATURE
 from roboneuron.errors import ConfigurationError, NotReadyError, RefusedError, StateError
@@ -136,9 +135,9 @@ def test_control_that_never_holds_refuses_a_motion_and_leaves_the_robot_free(
     ):
         raise AssertionError
     arbiter.check_free(drive(application))
-    action = replace(drive(application), label=ACTION_LABEL)
+    action = replace(drive(application), control_input="action")
     with arbiter.claim(action, "move_ee", threading.Event()):
-        assert arbiter.is_moving, "the next action needs no hold before it"
+        assert arbiter.claims.is_moving, "the next action needs no hold before it"
 
 
 def test_control_follows_from_an_action_until_it_holds_or_cannot_say(
@@ -181,15 +180,14 @@ def test_nothing_passes_once_it_is_closed(application: Application) -> None:
 def test_a_policy_keeps_direct_motion_off_its_robot(
     application: Application, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path = direct_path(application.host)
-    assert path._policy(drive(application)) == ""
-    monkeypatch.setattr(
-        application.supervisor, "view", lambda kind: ModuleView(kind=kind, phase="running")
-    )
-    assert path._policy(drive(application)) == "", "nobody knows which robot it moves"
-    monkeypatch.setattr(
-        path.arbiter, "_policy", lambda exposed: "The policy 'instant' moves 'gantry'."
-    )
+    claims = application.loop.starts.claims
+    application.loop.starts.begin("pick")
+    application.host.gate.check_free(drive(application))
+    running = ModuleView(kind="inference", phase="running")
+    monkeypatch.setattr(application.supervisor, "slot", lambda kind: running)
+    monkeypatch.setattr(application.supervisor, "view", lambda kind: running)
+    application.host.gate.check_free(drive(application))  # nobody knows which robot it moves
+    monkeypatch.setattr(claims, "policy", lambda *_: "The policy 'instant' moves 'gantry'.")
     with pytest.raises(RefusedError, match="The policy 'instant'"):
         application.host.gate.check_free(drive(application))
 

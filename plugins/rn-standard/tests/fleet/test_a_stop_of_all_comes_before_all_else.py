@@ -69,7 +69,7 @@ def moving(fleet: Fleet, order: list[tuple[str, str]]) -> Any:
                     namespace=name,
                     label="drive",
                     moves=True,
-                    hidden=False,
+                    control_input="",
                 ),
             )
             motion = stack.enter_context(

@@ -71,7 +71,9 @@ class Cell:
             gate=SimpleNamespace(exposed=(exposed,)),
             modules=SimpleNamespace(view=lambda kind: view, require_running=lambda kind: view),
             loop=SimpleNamespace(
-                starts=SimpleNamespace(arm_stops=0, reason="", admission=nullcontext)
+                starts=SimpleNamespace(
+                    arm_stops=0, reason="", claims=SimpleNamespace(admit=nullcontext)
+                )
             ),
         )
 

@@ -63,7 +63,7 @@ class Motion:
                 namespace="gantry",
                 label="joints",
                 moves=True,
-                hidden=False,
+                control_input="",
             ),
         )
         self._arbiter = direct_path(application.host).arbiter

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from enum import StrEnum
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from roboneuron.contract import JointCommand, JointSample, RobotProfile
-from roboneuron.direct_path.arbiter import ActiveMotion, Ending, MotionEnd
-from roboneuron.direct_path.exposed import ACTION_LABELS, LEAD_LABEL, stop_message
+from roboneuron.direct_path.arbiter import ActiveMotion
+from roboneuron.direct_path.exposed import stop_message
 from roboneuron.direct_path.gate import Gate
 from roboneuron.errors import NotReadyError, RefusedError, RoboNeuronError, StateError
 from roboneuron.server.motion_gate import GateRequest, TimedCommand
@@ -22,6 +23,52 @@ if TYPE_CHECKING:
 TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
 _HOLD_S = 0.1
 """Time of the trajectory that returns the joints to their measured positions."""
+
+
+class Ending(StrEnum):
+    """Cause of a motion's end; the values are words of messages."""
+
+    NONE = "nothing could be sent to end it"
+    STOP_MESSAGE = "the stop message was sent"
+    HOLD = "the joints were told to hold"
+    CONTROL = "control holds the arm"
+    GOAL_ENDED = "the goal was ended"
+    GOAL_UNCONFIRMED = "the goal was asked to end, but did not confirm"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class MotionEnd:
+    """End of a motion.
+
+    Attributes:
+        after_s: its duration [s].
+        total_s: its planned duration [s]; None if unknown.
+        ending: cause of the end.
+        details: additional text, such as the position of the arm.
+        cause: error that ended it early; None if it was completed.
+        sent: number of messages, the one that ended it included.
+    """
+
+    after_s: float
+    total_s: float | None = None
+    ending: Ending = Ending.NONE
+    details: str = ""
+    cause: RoboNeuronError | None = None
+    sent: int = 0
+
+    def check(self) -> None:
+        """Raise an error of the cause's kind that describes the end, unless the motion was
+        completed.
+        """
+        if self.cause is None:
+            return
+        total = "" if self.total_s is None else f" s of the planned {self.total_s:.2f}"
+        details = f" ({self.details})" if self.details else ""
+        raise type(self.cause)(
+            f"Ended early, after {self.after_s:.2f}{total} s; {self.ending}{details}: "
+            f"{self.cause.message}",
+            hint=self.cause.hint,
+        ) from self.cause
 
 
 def run(
@@ -116,7 +163,7 @@ def _end(
     if message is not None:
         writer.publish(message)
         return Ending.STOP_MESSAGE
-    if exposed.hidden and exposed.label in (*ACTION_LABELS, LEAD_LABEL):
+    if exposed.control_input:
         return Ending.CONTROL
     if not exposed.endpoint.joint_limited or not (moving or _is_velocity(last)):
         return Ending.NONE

@@ -48,7 +48,6 @@ LEAD_TOPIC, ACTING_TOPIC = "lead", "acting"
 """Topics of a leading person's rows for control, and of the source that moved the arm, published by
 control.
 """
-ACTION_LABELS = (ACTION_LABEL, POSES_LABEL)
 _FARTHEST_M = 10.0
 """Upper bound of a TCP's distance from its base; poses of several arms are in the frame of one of
 them.
@@ -120,6 +119,7 @@ def action_endpoint(exposed: ExposedEndpoint) -> ExposedEndpoint | None:
         endpoint=endpoint,
         profile=profile,
         hidden=True,
+        control_input="action",
     )
 
 
@@ -142,6 +142,7 @@ def lead_endpoint(exposed: ExposedEndpoint) -> ExposedEndpoint | None:
         label=LEAD_LABEL,
         endpoint=endpoint,
         hidden=True,
+        control_input="lead",
         clamp=frozenset(),
         nonfinite=frozenset(),
         require_subscriber=True,

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 from roboneuron.contract.profile import check_topic
 from roboneuron.direct_path.allow_list import AllowList
 from roboneuron.direct_path.arbiter import MotionArbiter
-from roboneuron.direct_path.exposed import LEAD_LABEL
 from roboneuron.direct_path.fields import load_type
 from roboneuron.direct_path.gate import Gate
 from roboneuron.direct_path.motion_gate import DirectGate
@@ -63,15 +62,8 @@ class DirectPath(Feature[DirectPathOptions]):
         """The gate, available from the collection of tools on."""
         return self._gate
 
-    @property
-    def motions(self) -> Sequence[str]:
-        """See `Feature.motions`."""
-        return () if self._gate is None else self.arbiter.motions
-
     def still_reasons(self, asker: CallContext | None) -> Iterator[StillReason]:
-        """See `Feature.still_reasons`: what moves a robot of the gate, and whether it only
-        simulates.
-        """
+        """See `Feature.still_reasons`: whether it only simulates."""
         if self.options.simulate:
             yield StillReason(
                 rank="server",
@@ -79,12 +71,6 @@ class DirectPath(Feature[DirectPathOptions]):
                 message="[direct_path] simulate is set: what tools ask for is judged, not sent.",
                 hint="A person removes it from roboneuron.toml and starts the server again.",
             )
-        if self._gate is None:
-            return
-        moving = {
-            one.robot: one for one in self._gate.exposed if one.moves and one.label != LEAD_LABEL
-        }
-        yield from filter(None, map(self.arbiter.still_reason, moving.values()))
 
     def tools(self, host: Host) -> Sequence[Tool]:
         """Return no tools; build the gate, which allows nothing until something is exposed. Raises
@@ -103,8 +89,7 @@ class DirectPath(Feature[DirectPathOptions]):
         control = host.config.control
         self.arbiter = MotionArbiter(
             self.judge,
-            self._policy,
-            host.loop,
+            host.loop.starts,
             self._is_followed,
             _REPORTED_S + (0.0 if control is None else control.action_timeout_s),
             host.config.silence_s,  # as modules do
@@ -166,29 +151,6 @@ class DirectPath(Feature[DirectPathOptions]):
         """
         if exposed.moves and exposed.namespace == self._host.config.namespace:
             self._host.loop.starts.permit(stops)
-
-    def _policy(self, exposed: ExposedEndpoint) -> str:
-        """Describe the policy that moves the robot now; empty without one, and for one without an
-        instruction. A leading person does not have to wait for it: control lets one of them act.
-        """
-        instruction = self._host.loop.starts.instruction
-        if not instruction:
-            return ""
-        if exposed.hidden and exposed.label == LEAD_LABEL:
-            return ""
-        modules = self._modules
-        # evaluated for every call: the whole view costs as much as the rest of the answer
-        if modules.slot("inference").phase not in ("starting", "running"):
-            return ""
-        view = modules.view("inference")
-        if view.phase not in ("starting", "running") or view.plan is None:
-            return ""
-        if view.plan.config.namespace != exposed.namespace:
-            return ""
-        return (
-            f"The policy {view.plan.names.get('backend', '')!r} moves {exposed.robot!r}: "
-            f"{instruction!r}."
-        )
 
     def _is_followed(self, exposed: ExposedEndpoint) -> bool:
         """True if control has acted since its last hold; a frozen control module reports nothing

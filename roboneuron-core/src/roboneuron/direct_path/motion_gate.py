@@ -6,11 +6,11 @@ import threading
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from roboneuron.direct_path import delivery
 from roboneuron.direct_path.allow_list import AllowList
-from roboneuron.direct_path.arbiter import Ending, MotionArbiter
+from roboneuron.direct_path.arbiter import ActiveMotion, MotionArbiter
 from roboneuron.direct_path.fields import load_type
 from roboneuron.direct_path.gate import Gate
 from roboneuron.direct_path.traffic import Traffic
@@ -61,7 +61,7 @@ class DirectGate:
             arbiter.claim,
             arbiter.end_all,
         )
-        self._watch, self._starts = arbiter.watch, arbiter.starts
+        self._starts = arbiter.starts
         self._stops_until_now = arbiter.stops_until_now
         self.newest_joints, self.joints = traffic.newest_joints, traffic.joints
         self.is_served, self.cancel_goal = traffic.is_served, traffic.cancel_goal
@@ -130,7 +130,7 @@ class DirectGate:
         if exposed.moves:
             watch = self._gate.way_watch(request, lambda: self.newest_joints(exposed))
             if watch is not None:
-                self._watch(exposed, watch.check)
+                cast("ActiveMotion", motion).watch = watch.check
         motion.check()
         client = self._traffic.action_client(exposed)
 
@@ -240,7 +240,7 @@ class DirectGate:
                 messages=end.sent,
                 subscribers=matched,
                 duration_s=end.after_s,
-                stopped=end.ending in (Ending.STOP_MESSAGE, Ending.HOLD),
+                stopped=end.ending in (delivery.Ending.STOP_MESSAGE, delivery.Ending.HOLD),
             )
 
     def _permit_now(self, exposed: ExposedEndpoint, stops: int) -> None:

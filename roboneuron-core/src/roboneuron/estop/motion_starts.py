@@ -10,12 +10,13 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext, suppress
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from typing import Final
 
 from roboneuron.errors import NotReadyError, RefusedError, RoboNeuronError, StateError
 from roboneuron.estop import motion_stop
+from roboneuron.estop.motion_claims import MotionClaims
 from roboneuron.gate import StillReason
 from roboneuron.modules.settings import (
     ARM_KINDS,
@@ -45,11 +46,9 @@ class MotionStarts:
         arm_stops: those that end every motion, also of agents; not the loss of a camera or of the
             policy.
         reason: the newest stop.
-        instruction: the policy's newest instruction; empty if withdrawn.
+        claims: who may move each robot.
         ticket: number of the newest instruction or of its end, by which its caller sees whether it
             is still valid.
-        admission: entered while an instruction is registered, with its text; raises RefusedError if
-            something else moves the robot. The motion arbiter sets it.
         AGAIN: hint for the client that releases a stop.
     """
 
@@ -71,9 +70,14 @@ class MotionStarts:
         self._lost: dict[ModuleKind, int] = {}
         self._was_latched = False
         self._telling: list[threading.Thread] = []
-        self.admission: Callable[[str], AbstractContextManager[None]] = lambda text: nullcontext()
+        self.claims = MotionClaims(supervisor)
         self.stops = self.arm_stops = self.ticket = 0
-        self.reason = self.instruction = ""
+        self.reason = ""
+
+    @property
+    def instruction(self) -> str:
+        """The policy's newest instruction; empty if withdrawn."""
+        return self.claims.instruction
 
     def look(self, is_latched: bool | None = None) -> Sequence[ModuleView]:
         """Return the modules; count the stops since the last call, which end the requests for
@@ -109,7 +113,7 @@ class MotionStarts:
         """
         with self._lock:
             self.stops += 1
-            self.reason, self.instruction = reason, ""
+            self.reason, self.claims.instruction = reason, ""
             self.ticket += 1
             self.arm_stops += holds_arm
             if holds_arm and not is_asked:
@@ -245,8 +249,8 @@ class MotionStarts:
         Raises:
             RefusedError: it is an instruction, and something else moves the robot.
         """
-        with self.admission(text), self._lock:
-            self.instruction = text
+        with self.claims.admit(text), self._lock:
+            self.claims.instruction = text
             self.ticket += 1
             return self.ticket
 
@@ -285,7 +289,7 @@ class MotionStarts:
         with self._lock:
             is_ours = self.ticket == ticket
             if is_ours:
-                self.instruction = ""
+                self.claims.instruction = ""
                 self.ticket += 1
         if is_ours:
             self._take_back()

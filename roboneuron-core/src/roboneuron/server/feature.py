@@ -54,13 +54,13 @@ class Feature(Generic[OptionsT]):
 
     @property
     def is_moving(self) -> bool:
-        """True if it moves a robot now, outside the closed loop."""
+        """True if it moves a robot now, beside the calls and the policy that claim it."""
         return bool(self.motions)
 
     @property
     def motions(self) -> Sequence[str]:
-        """What of it moves a robot now, outside the closed loop: a phrase each, such as "move_ee
-        of 'fr3' (for 1.2 s)"; from any thread.
+        """What of it moves a robot now, beside the calls and the policy that claim it: a phrase
+        each, such as "run_task 'pick' of ann"; from any thread.
         """
         return ()
 

@@ -172,16 +172,17 @@ class Host:
     def is_moving(self) -> bool:
         """True if a policy runs, or a call moves something."""
         is_policy = self.modules.view("inference").phase != "stopped"
-        return is_policy or any(feature.is_moving for feature in self.features.loaded.values())
+        return (
+            is_policy
+            or self.loop.starts.claims.is_moving
+            or any(feature.is_moving for feature in self.features.loaded.values())
+        )
 
     @property
     def motions(self) -> tuple[str, ...]:
         """What moves a robot now, a phrase each; a policy does while it has an instruction."""
         found = [one for feature in self.features.loaded.values() for one in feature.motions]
-        text = self.loop.starts.instruction
-        if text and self.modules.view("inference").phase in ("starting", "running"):
-            found.append(f"the policy with the instruction {text!r}")
-        return tuple(found)
+        return (*self.loop.starts.claims.motions, *found)
 
     def clock(self, namespace: str) -> RobotClock:
         """Time of the robot in that namespace, as its tools follow it: the real one, unless a
@@ -219,6 +220,7 @@ class Host:
             *self.modules.still_reasons(needed),
             self._hold() if motions else None,
             loop.starts.still_reason(),
+            *loop.starts.claims.still_reasons(),
             *self.features.still_reasons(asker),
             None if asker is None else Role.OPERATOR.still_reason(asker.who, asker.role),
         ]

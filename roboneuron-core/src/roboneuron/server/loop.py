@@ -134,7 +134,10 @@ class ClosedLoop:
         self.modules: Modules = supervisor
         self.emergency_stop = EmergencyStop(supervisor)
         self.starts = MotionStarts(supervisor)
-        self.emergency_stop.file.on_pressed.append(lambda: self.starts.note_stop(EMERGENCY_STOP))
+        stop = self.emergency_stop.file
+        stop.on_press.append(self.starts.claims.stop_now)
+        stop.on_pressed.append(lambda: self.starts.note_stop(EMERGENCY_STOP))
+        stop.on_pressed.append(self.starts.claims.wake)
         self.forms: Mapping[ModuleKind, StartForm] = {}
         self.on_stop: Callable[[ModuleKind], object] = lambda kind: None
         self.streams: dict[str, deque[SentAction]] = {}

@@ -10,7 +10,7 @@ import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 from roboneuron.contract import Endpoint, JointSample, RobotProfile
 
@@ -36,6 +36,7 @@ class ExposedEndpoint:
         require_subscriber: a message without a subscriber is an error.
         moves: it moves the robot, and is refused while a policy does.
         hidden: it has no tools; another tool uses it.
+        control_input: "action" or "lead" (a person's rows) if control follows it, or empty.
         topic: absolute name of the topic, service or action.
     """
 
@@ -49,6 +50,7 @@ class ExposedEndpoint:
     require_subscriber: bool = True
     moves: bool = True
     hidden: bool = False
+    control_input: Literal["", "action", "lead"] = ""
     topic: str = field(init=False)
 
     def __post_init__(self) -> None:
@@ -173,7 +175,7 @@ class MotionClaim(Protocol):
         Raises:
             RefusedError: the emergency stop is latched, or the audit failed.
             StateError: the call was cancelled, a policy took over, this process was frozen, or the
-                robot was stopped or lost a module since this motion began.
+                robot was stopped or lost a module since.
         """
 
     def sleep_until(self, end_s: float) -> None:
@@ -248,9 +250,7 @@ class MotionGate(Protocol):
         """
 
     def check_free(self, exposed: ExposedEndpoint) -> None:
-        """Raise RefusedError while a policy or another call moves the robot; endpoints that move
-        nothing are always free.
-        """
+        """Raise RefusedError while something else moves the robot, unless it moves nothing."""
 
     def claim(
         self, exposed: ExposedEndpoint, what: str, halt: threading.Event

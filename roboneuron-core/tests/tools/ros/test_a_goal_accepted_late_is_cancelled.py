@@ -11,8 +11,6 @@ from typing import Any
 import anyio
 import pytest
 
-from roboneuron.direct_path.feature import direct_path
-
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(60)]
 
 
@@ -111,7 +109,7 @@ def test_a_goal_that_is_accepted_after_its_call_ended_is_cancelled(
                     else:
                         await client.call_tool("emergency_stop", {})
             assert not slow.may_accept.is_set()
-            while direct_path(application.host).arbiter._moving:  # the call has given up
+            while application.host.motions:  # the call has given up
                 await anyio.sleep(0.01)
             slow.may_accept.set()
             assert await anyio.to_thread.run_sync(slow.ended.wait, BUSY_S)

@@ -152,7 +152,7 @@ def test_a_policy_that_starts_takes_the_robot_over(
     application: Application, ask: Ask, rover: Any
 ) -> None:
     policy: list[str] = [""]
-    direct_path(application.host).arbiter._policy = lambda exposed: policy[0]
+    application.loop.starts.claims.policy = lambda robot, namespace: policy[0]  # type: ignore[method-assign]
 
     async def scenario(agent: Any) -> None:
         async def drive() -> None:

@@ -229,7 +229,7 @@ class SimulateFeature(Feature[SimulateOptions]):
         try:
             host.loop.emergency_stop.check()
             if isinstance(parsed, RunTask):
-                with host.loop.starts.admission(parsed.instruction):
+                with host.loop.starts.claims.admit(parsed.instruction):
                     return ""
             host.gate.check_free(arm_endpoint(host))
             if isinstance(parsed, MoveEndEffector | PickArguments | PlaceArguments | PushArguments):

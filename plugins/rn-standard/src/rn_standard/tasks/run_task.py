@@ -128,7 +128,7 @@ class TaskTool:
         predicate, profile, judge = self._checked(arguments, self._remembered_monitor)
         topics = {} if predicate is None else topics_of(predicate)
         plan = self._plan(arguments)
-        with self._host.loop.starts.admission(instruction):
+        with self._host.loop.starts.claims.admit(instruction):
             pass  # before anything is waited for; asked again when the instruction is given
         halt = threading.Event()
         arm_stops = self._host.loop.starts.arm_stops

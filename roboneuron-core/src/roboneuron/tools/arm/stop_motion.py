@@ -82,11 +82,10 @@ class MotionStop:
         called = ", ".join(self._called())
         reason = f"{context.who} called stop_motion"
         failures: dict[str, str] = dict(host.loop.starts.stop_motion(reason).items())
-        gate = self._gate()
-        if gate is not None and not gate.end_motions(reason, _END_S):
+        if not host.loop.starts.claims.end_all(reason, _END_S):
             failures["server"] = f"a motion did not end within {_END_S:g} s"
         self._check(failures)
-        at_rest, joints = self._await_rest(gate)
+        at_rest, joints = self._await_rest(self._gate())
         took_s = time.monotonic() - began_s
         return StopMotionResult(
             stopped=[

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from roboneuron.direct_path.exposed import ACTION_LABELS
 from roboneuron.server.host import Host
 from roboneuron.server.tool import Tool
 from roboneuron.tools.arm.ee_move import EndEffectorMove, MoveEndEffector
@@ -32,7 +31,7 @@ def arm_tools(
     gate = host.gate
     listed = gate.exposed
     tools = joint_tools(host, [e for e in listed if not e.hidden], gate)
-    action = next((e for e in listed if e.hidden and e.label in ACTION_LABELS), None)
+    action = next((e for e in listed if e.control_input == "action"), None)
     if action is None or action.profile is None:
         return tools
     space, profile = action.namespace, action.profile

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
-from roboneuron.direct_path.arbiter import Ending, MotionEnd
+from roboneuron.direct_path.delivery import Ending, MotionEnd
 from roboneuron.direct_path.message_types import RosMessage
 from roboneuron.errors import NotReadyError, RoboNeuronError, StateError
 from roboneuron.server.motion_gate import (
