@@ -46,7 +46,9 @@ _REACH_S = 10.0
 _LOOK_S, _LOCAL_LOOK_S = 0.2, 0.02
 _FIRST_PAUSE_S, _LAST_PAUSE_S = 0.1, 2.0
 _FRESH_S = 0.2
-"""Longest wait of an observation for a new connection; a later one needs a newer observation."""
+"""Longest wait of an observation for a new connection to a server that closes idle ones; a later
+one needs a newer observation.
+"""
 _SILENT = 3
 """Number of consecutive deadlines without an answer after which the connection is replaced."""
 _LEAST_SILENT_S = 1.0
@@ -200,7 +202,8 @@ class PolicyClient:
             session = None
         if session is None:
             self._begin_connecting()
-            self._connected.wait(max(min(left_s, _FRESH_S), 0.0))
+            if not is_numbered:  # a robot of ours with a fallback must not be held up
+                self._connected.wait(max(min(left_s, _FRESH_S), 0.0))
             with self._lock:
                 session = self._session
         if session is None:
