@@ -20,6 +20,8 @@ from roboneuron import ConfigurationError, RobotProfile
 from roboneuron.cli.main import main
 
 APART_M = 0.01
+SIDEWAYS = joint("stand", "world", "base_link", "fixed", xyz='0 0 0" rpy="1.5 0 0')
+"""The arm is mounted at a wall."""
 
 
 def draft(folder: Path, *elements: str, **options: object) -> ArmDraft:
@@ -212,8 +214,9 @@ def test_the_configuration_is_slow_and_names_the_driver(tmp_path, driver):
     assert "# source = " in text, "a camera to fill in"
 
 
-def test_the_checklist_names_each_joint_with_its_axis(tmp_path):
-    write(tmp_path, *ARM, *FINGERS)
+@pytest.mark.parametrize("stand", [(), (link("world", ""), SIDEWAYS)])
+def test_the_checklist_names_each_joint_with_its_axis_in_the_base_frame(tmp_path, stand):
+    write(tmp_path, *ARM, *FINGERS, *stand)
     text = (new(tmp_path) / "FIRST_MOTION.md").read_text(encoding="utf-8")
     rows = [line.split("|") for line in text.splitlines() if line.startswith("| j")]
     assert [row[1].strip() for row in rows[1:]] == ["j1", "j2", "j3"]
