@@ -23,6 +23,7 @@ controller = "urdf"
 [plugins.openpi]
 url = "{url}"
 coding = "raw"
+space = {{ kind = "ee_delta" }}
 """
 COMMAND = (sys.executable, "-m", "roboneuron.cli.main")
 

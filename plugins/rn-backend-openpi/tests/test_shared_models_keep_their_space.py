@@ -77,6 +77,7 @@ def test_the_space_of_a_model_with_an_address_is_said_by_a_person() -> None:
     given = {"address": "gpu:1", "space": {"kind": "joint_position", "rate_hz": 20.0}}
     space = policy_space(given, ROBOT)
     assert (space.kind, space.rate_hz, space.size) == ("joint_position", 20.0, 14)
+    assert policy_space({**given, "space": {"kind": "ee_delta"}}, ROBOT) is EE_DELTA
     turned = tuple(reversed(space.keys))
     for kind in ("joint_position", "joint_delta"):
         own = policy_space({**given, "space": {"kind": kind, "channels": list(turned)}}, ROBOT)
@@ -87,7 +88,7 @@ def test_the_space_of_a_model_with_an_address_is_said_by_a_person() -> None:
         {"kind": "joint_position", "channels": ["left0", "elbow"]},
         {"kind": "joint_position", "channels": ["left/left0", "left/left0"]},
         {"kind": "sideways"},
-        {"kind": "ee_delta"},
+        {"kind": "ee_delta", "channels": ["x"]},
     ):
         with pytest.raises(ConfigurationError, match="The option space"):
             policy_space({**given, "space": wrong}, ROBOT)

@@ -91,6 +91,8 @@ def _declared(options: SpaceOptions, profile: RobotProfile) -> ControlSpace:
     Raises:
         ConfigurationError: there is no such kind or channel.
     """
+    if options.kind == EE_DELTA.kind and not options.channels:
+        return EE_DELTA
     # deltas have the same channels as positions
     kind = "joint_position" if options.kind == "joint_delta" else options.kind
     try:
