@@ -100,7 +100,17 @@ def _mesh(path: Path | None, scale: str) -> Shape:
     surface.addTriangles(np.array(loaded.faces))
     surface.endModel()
     is_small = len(loaded.faces) <= MOST_TRIANGLES
-    return Shape(coal.Convex.convexHull(points, False, "Qt"), surface if is_small else None, True)
+    return Shape(_hull(points), surface if is_small else None, True)
+
+
+def _hull(points: coal.StdVec_Vec3s) -> object:
+    """The convex hull of all points. Coal counts at most 255 neighbours of a vertex, and the middle
+    of a disc may have more; moved by rounding errors ("QJ" of qhull) the points lie on no disc.
+    """
+    try:
+        return coal.Convex.convexHull(points, False, "Qt")
+    except RuntimeError:
+        return coal.Convex.convexHull(points, False, "QJ")
 
 
 def _distance(one: Shape, at: F64, other: Shape, there: F64) -> float:

@@ -91,7 +91,10 @@ class Robot:
         self.joints = {j.get("name", ""): j for j in tree.findall("joint")}
         self._above = {_link(j, "child"): j for j in self.joints.values()}
         links = [link.get("name", "") for link in tree.findall("link")]
-        self.root = next(link for link in links if link not in self._above)
+        roots = [link for link in links if link not in self._above]
+        if not roots:
+            raise ValueError(f"{path.name} has no root link")
+        self.root = roots[0]
         parents = {_link(j, "parent") for j in self.joints.values()}
         self.leaves = [link for link in links if link not in parents]
 
@@ -238,11 +241,16 @@ def check_distances(robot: Robot, postures: int, rng: np.random.Generator) -> Fo
 
 
 def robots(folder: Path, only: list[str]) -> Iterator[Robot]:
-    """Every description below a folder."""
+    """Every description below a folder; one without a root link is named and left out."""
     for path in sorted(folder.rglob("*.urdf")):
         if only and not any(word in path.name for word in only):
             continue
-        yield Robot(path)
+        try:
+            robot = Robot(path)
+        except ValueError as error:
+            print(f"left out: {error}", file=sys.stderr)
+            continue
+        yield robot
 
 
 def installed() -> Path:
