@@ -1,4 +1,6 @@
-"""The end of a task tells which other objects it has moved, as far as both looks show them."""
+"""A task tells which other objects it has moved, as far as both looks show them, and begins with
+no hand that would drop something.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,7 @@ import numpy as np
 import pytest
 
 from rn_standard.tasks.task_result import told_reason
-from roboneuron import LocatedObject, NotReadyError
+from roboneuron import LocatedObject, NotReadyError, RefusedError
 from roboneuron.config import Config
 from roboneuron.server.clock import RobotClock
 from roboneuron.sight.marks import CellLook
@@ -40,6 +42,7 @@ class Eyes:
 
     def __init__(self, table: Mapping[str, tuple[float, float, float]], *, blind: bool = False):
         self.table, self.blind, self.asked = dict(table), blind, []
+        self.holds: dict[str, str] = {"": ""}
 
     def look(self, who: str, newer_than_ns: int = 0) -> CellLook:
         self.asked.append(newer_than_ns)
@@ -47,7 +50,13 @@ class Eyes:
             raise NotReadyError("No camera.")
         view: Any = SimpleNamespace(images=("front",))
         objects = tuple(cube(colour, place) for colour, place in self.table.items())
-        return CellLook(view=view, objects=objects)
+        held = {
+            arm: next(one for one in objects if one.colour == colour)
+            for arm, colour in self.holds.items()
+            if colour
+        }
+        hands: Any = dict.fromkeys(self.holds)
+        return CellLook(view=view, objects=objects, held=held, hands=hands)
 
     def forget(self, one: LocatedObject) -> None: ...
 
@@ -85,10 +94,38 @@ def test_others_that_moved_are_told(
     assert eyes.asked[1] > 0, "the second look takes pictures of after the task"
 
 
+@pytest.mark.parametrize(
+    ("holds", "is_refused"),
+    [
+        ({"": ""}, False),
+        ({"": "red"}, False),
+        ({"": "green"}, True),
+        ({"left": "green", "right": ""}, False),
+        ({"left": "green", "right": "red"}, False),
+        ({"left": "green", "right": "green"}, True),
+    ],
+    ids=str,
+)
+def test_nothing_is_grasped_while_every_hand_holds_something_else(
+    holds: dict[str, str], is_refused: bool
+) -> None:
+    eyes = Eyes({"red": RED, "green": GREEN})
+    eyes.holds = holds
+    watched = scene(eyes)
+    watched.look_before()
+    if not is_refused:
+        watched.check_hands()
+        return
+    with pytest.raises(RefusedError, match="green cube") as refused:
+        watched.check_hands()
+    assert refused.value.rule == "full_hand"
+
+
 @pytest.mark.parametrize("eyes", [None, Eyes({}, blind=True)], ids=["none", "blind"])
 def test_it_is_not_known_where_nothing_looks(eyes: Eyes | None) -> None:
     watched = scene(eyes)
     watched.look_before()
+    watched.check_hands()
     assert watched.moved() is None
 
 

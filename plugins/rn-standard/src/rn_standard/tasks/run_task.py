@@ -139,6 +139,8 @@ class TaskTool:
             # looks are taken without the claim: they cannot be cancelled
             scene = SceneWatch(self._host, instruction, context.who)
             scene.look_before()
+            if arguments.until is None and _lifts(predicate):
+                scene.check_hands()
             if halt.is_set():
                 raise StateError("The call was cancelled before the task began.")
             with self._arbiter.claim(f"{instruction!r} of {context.who}", halt):
@@ -249,7 +251,7 @@ class TaskTool:
         """Raise RefusedError if a predicate asks for a gripper that is not there: it would never
         become true.
         """
-        for part in () if predicate is None else flat(predicate):
+        for part in _parts(predicate):
             if isinstance(part, GripperHolds):
                 check_gripper(self._host, profile, part.arm)
 
@@ -307,7 +309,7 @@ class TaskTool:
         if watching := self._options.monitor.name:
             spec = self._host.registry.get(MonitorSpec, watching)
             names += _of_roles(roles, (*spec.cameras, *spec.optional_cameras), names)
-        for part in [] if predicate is None else flat(predicate):
+        for part in _parts(predicate):
             if isinstance(part, MonitorSays):
                 spec = self._host.registry.get(MonitorSpec, part.name)
                 absent = [role for role in spec.cameras if role not in roles.values()]
@@ -318,6 +320,15 @@ class TaskTool:
                     )
                 names += _of_roles(roles, (*spec.cameras, *spec.optional_cameras), names)
         return names
+
+
+def _lifts(predicate: Predicate | None) -> bool:
+    """True if a verb of the policy is judged by what the hand holds at the end."""
+    return any(isinstance(part, GripperHolds) for part in _parts(predicate))
+
+
+def _parts(predicate: Predicate | None) -> Iterable[Predicate]:
+    return () if predicate is None else flat(predicate)
 
 
 def _seen(end: TaskEnd, scene: SceneWatch, cameras: list[str]) -> TaskEnd:

@@ -9,11 +9,11 @@ import numpy as np
 from pydantic import Field
 
 from roboneuron.contract.locator import LocatedObject
-from roboneuron.errors import RoboNeuronError
+from roboneuron.errors import RefusedError, RoboNeuronError
 from roboneuron.server.host import Host
 from roboneuron.server.tool import Picture, Result
 from roboneuron.sight.looker import looker_of
-from roboneuron.sight.marks import CellLook, look_pictures, name_of, nearest_like
+from roboneuron.sight.marks import CellLook, look_pictures, name_of, nearest_like, told_name
 from roboneuron.sight.sightlines import is_covered
 
 __all__ = ["SceneWatch"]
@@ -108,6 +108,21 @@ class SceneWatch:
     def look_before(self) -> None:
         """Look at the scene; blocks for at most a second."""
         self._before = self._look(0)
+
+    def check_hands(self) -> None:
+        """Raise RefusedError if every hand is seen to hold something else than the object that the
+        instruction names first: to grasp that one, a policy would let go of it wherever it is.
+        """
+        look = self._before
+        meant = None if look is None else self._meant(look)
+        if look is None or meant is None or meant in look.held.values():
+            return
+        if look.held and look.held.keys() == look.hands.keys():
+            raise RefusedError(
+                f"The hand holds {' and '.join(map(told_name, look.held.values()))} already.",
+                hint="Call place first.",
+                rule="full_hand",
+            )
 
     def moved(self) -> dict[str, float] | None:
         """How far other objects have moved since [m], by name; None if it was not seen. Blocks for
