@@ -34,10 +34,12 @@ upper_m = [1.5, {far}, 2.0]
 """
 
 
-def six_joints(first: str = "revolute") -> list[str]:
-    """Elements of an arm of six joints with fingers, whose third link has a mesh."""
+def arm_of(first: str, count: int) -> list[str]:
+    """Elements of an arm with fingers, whose third link has a mesh: kind of the first joint, and
+    number of joints.
+    """
     elements = [link("base_link")]
-    for number, axis in enumerate(AXES, 1):
+    for number, axis in enumerate(AXES[:count], 1):
         shape = '<mesh filename="package://arm/box.stl"/>' if number == 3 else BALL
         kind = first if number == 1 else "revolute"
         parent = "base_link" if number == 1 else f"l{number - 1}"
@@ -45,15 +47,15 @@ def six_joints(first: str = "revolute") -> list[str]:
             link(f"l{number}", shape if number != 4 else ""),
             joint(f"j{number}", parent, f"l{number}", kind, more=LIMIT, axis=axis, xyz="0 0 0.2"),
         ]
-    fingers = [element.replace("l3", "l6") for element in FINGERS]
-    return [*elements, link("tcp", ""), joint("mount", "l6", "tcp", "fixed"), *fingers]
+    fingers = [element.replace("l3", f"l{count}") for element in FINGERS]
+    return [*elements, link("tcp", ""), joint("mount", f"l{count}", "tcp", "fixed"), *fingers]
 
 
 @pytest.fixture
 def project(tmp_path: Path, request: pytest.FixtureRequest) -> Path:
     """The package as the command wrote it, with metadata as pip would install them."""
     write_box_mesh(tmp_path / "arm" / "box.stl")
-    urdf = write(tmp_path / "arm" / "urdf", *six_joints(getattr(request, "param", "revolute")))
+    urdf = write(tmp_path / "arm" / "urdf", *arm_of(*getattr(request, "param", ("revolute", 6))))
     project = tmp_path / "rn-robot-mine"
     words = ["new", "robot", "mine", "--urdf", str(urdf), "--driver", "none"]
     assert main([*words, "--directory", str(project)]) == 0
@@ -92,6 +94,7 @@ def test_the_written_arm_keeps_the_contract(project: Path) -> None:
 
 @pytest.mark.ros
 @pytest.mark.exhaustive
+@pytest.mark.parametrize("project", [("revolute", 6), ("revolute", 5)], indirect=True, ids=str)
 def test_the_written_arm_is_checked_and_moves_by_joint_and_by_its_tool(
     project: Path, environment: dict[str, str]
 ) -> None:
@@ -113,7 +116,7 @@ def test_the_written_arm_is_checked_and_moves_by_joint_and_by_its_tool(
 
 @pytest.mark.ros
 @pytest.mark.exhaustive
-@pytest.mark.parametrize("project", ["revolute", "continuous"], indirect=True)
+@pytest.mark.parametrize("project", [("revolute", 6), ("continuous", 6)], indirect=True, ids=str)
 def test_a_wall_in_the_way_is_kept_away_from_by_another_judge(
     project: Path, environment: dict[str, str]
 ) -> None:

@@ -116,7 +116,7 @@ class Robot:
                 cell.led = self.random.choice(["", "Ada"])
             case 4:  # or changes what the policy does
                 with pytest.raises(RefusedError):
-                    self.arbiter.admit(SET_INSTRUCTION, None)  # type: ignore[arg-type]
+                    self.arbiter.check_idle(SET_INSTRUCTION, None)  # type: ignore[arg-type]
 
 
 @pytest.mark.exhaustive
@@ -129,7 +129,7 @@ def test_no_sequence_leaves_a_task_or_a_moving_arm(count: int) -> None:
             robot.start()
             assert not robot.arbiter.owner, seed
             assert not any(cell.moving for cell in robot.cells), seed
-        robot.arbiter.admit(SET_INSTRUCTION, None)  # type: ignore[arg-type]
+        robot.arbiter.check_idle(SET_INSTRUCTION, None)  # type: ignore[arg-type]
         seen.update(robot.outcomes)
     # the sequences reach everything
     assert seen == {*Outcome, "RuntimeError", "StateError", "NotReadyError"}

@@ -43,12 +43,21 @@ class Order:
             vector.
         gripper_open: 0 closed .. 1 open; None for no change.
         duration_s: time for the whole line.
+        keeps_rotation: the hand ends as turned as asked. An arm with fewer than six joints cannot
+            translate without turning: unless a turn is asked for, it turns as it must.
     """
 
     translation_m: F64
     rotation_rad: F64
     gripper_open: float | None
     duration_s: float
+    keeps_rotation: bool = True
+
+    def judged(self, displacement: F64) -> F64:
+        """The part of a displacement (6,) that the arm has to follow."""
+        if self.keeps_rotation:
+            return displacement
+        return np.concatenate([displacement[:3], np.zeros(3)])
 
 
 def remaining(start: Pose, order: Order, fraction: float, measured: Pose) -> F64:
@@ -133,7 +142,7 @@ def steps_to_end(
     progress, before = MotionProgress(least_s, longest_s, _SETTLE_S), start
     while True:
         now_s, here = elapsed_s(), pose()
-        error = remaining(start, order, 1.0, here)
+        error = order.judged(remaining(start, order, 1.0, here))
         left_m, left_rad = float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))
         way, before = difference(before, here), here
         is_still = (
@@ -149,7 +158,8 @@ def steps_to_end(
                 raise RefusedError(f"{text}; control is {told}", rule="path")
             raise StateError(f"{text} ({told or 'no report of control'}).")
         fraction = min(1.0, (now_s + STEP_S) / order.duration_s)
-        delta = limit_step(remaining(start, order, fraction, here), speed_m_s, turn_rad_s)
+        left = order.judged(remaining(start, order, fraction, here))
+        delta = limit_step(left, speed_m_s, turn_rad_s)
         yield fraction, left_m, here, delta
 
 

@@ -43,6 +43,8 @@ _MEASURED_S, _POSE_S, _AFTER_S = 2.0, 0.5, 1.0
 """Longest wait for control and the first measurement, for later measurements, and for that after
 the move.
 """
+_FREE_JOINTS = 6
+"""Least number of joints with which a hand can keep its rotation wherever it goes."""
 
 
 @dataclass(kw_only=True, slots=True)
@@ -96,6 +98,7 @@ class EndEffectorMover:
         self._grips = {name: Grip(host, self._gate, exposed, name) for name in tcps}
         self._grip = self._grips[arm]
         self._number = [part.name for part in profile.each_arm].index(arm)
+        self._turns_freely = len(profile.each_arm[self._number].joints) >= _FREE_JOINTS
 
     async def __call__(self, arguments: MoveEndEffector, context: CallContext) -> EndEffectorMove:
         """Raises InvalidInputError, RefusedError, NotReadyError, StateError."""
@@ -185,6 +188,7 @@ class EndEffectorMover:
             rotation_rad=values[3:],
             gripper_open=gripper,
             duration_s=asked_s or shortest_s,
+            keeps_rotation=bool(values[3:].any()) or self._turns_freely,
         )
 
     def _speeds(self) -> tuple[float, float]:
