@@ -130,7 +130,7 @@ def test_list_strict_fails_for_trouble_and_not_for_what_is_disabled(only, tmp_pa
     ("text", "words"),
     [
         ('disabled_plugins = "rn-bad"', "expected a list"),
-        ("disabled_plugins = [", "no valid TOML"),
+        ("disabled_plugins = [", "not valid TOML"),
         ('disabled_plugins = ["rn-absent"]', "'rn-absent' is not installed"),
     ],
 )

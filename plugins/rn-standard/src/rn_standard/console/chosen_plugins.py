@@ -8,7 +8,7 @@ from argparse import ArgumentParser
 from pathlib import Path
 
 from roboneuron import ConfigurationError, nearest
-from roboneuron.command import Offer, PluginRecord, Registry, reading
+from roboneuron.command import Offer, PluginRecord, Registry
 
 
 def add_config(parser: ArgumentParser) -> None:
@@ -25,6 +25,8 @@ def read_disabled(config: Path | None) -> tuple[str, ...]:
     """Read `disabled_plugins` of a configuration file, without validating the rest of it."""
     if config is None:
         return ()
+    from roboneuron.command import reading  # heavy: only for a file
+
     names = reading.read_tables(config).get("disabled_plugins", [])
     if not (isinstance(names, list) and all(isinstance(n, str) for n in names)):
         raise ConfigurationError(
