@@ -54,7 +54,7 @@ class Order:
     keeps_rotation: bool = True
 
     def judged(self, displacement: F64) -> F64:
-        """The part of a displacement (6,) that the arm has to follow."""
+        """The part of a displacement (6,) that is to be made for the arm to have arrived."""
         if self.keeps_rotation:
             return displacement
         return np.concatenate([displacement[:3], np.zeros(3)])
@@ -83,17 +83,25 @@ def difference(start: Pose, end: Pose) -> F64:
     return np.concatenate([end.position_m - start.position_m, rotvec_from_matrix(turn)])
 
 
-def limit_step(delta: F64, speed_m_s: float, turn_rad_s: float) -> F64:
+def limit_step(delta: F64, speed_m_s: float, turn_rad_s: float, *, is_straight: bool = True) -> F64:
     """Shorten `delta` (6,), relative to the measured arm, to the speed limits of one step.
 
     A delayed arm continues at its speed, without catching up.
+
+    Args:
+        delta: translation [m] and rotation vector [rad].
+        speed_m_s, turn_rad_s: limits.
+        is_straight: both are shortened alike; otherwise a rotation that the arm cannot make delays
+            no translation.
     """
-    scales = [1.0]
-    for part, limit in ((delta[:3], speed_m_s), (delta[3:], turn_rad_s)):
-        length = float(np.linalg.norm(part))
+    scales = np.ones(2)
+    for number, limit in enumerate((speed_m_s, turn_rad_s)):
+        length = float(np.linalg.norm(delta[3 * number : 3 * number + 3]))
         if length > 0.0:
-            scales.append(_RESERVE * limit * STEP_S / length)
-    limited: F64 = delta * min(scales)
+            scales[number] = min(1.0, _RESERVE * limit * STEP_S / length)
+    if is_straight:
+        scales[:] = scales.min()
+    limited: F64 = delta * np.repeat(scales, 3)
     return limited
 
 
@@ -158,8 +166,12 @@ def steps_to_end(
                 raise RefusedError(f"{text}; control is {told}", rule="path")
             raise StateError(f"{text} ({told or 'no report of control'}).")
         fraction = min(1.0, (now_s + STEP_S) / order.duration_s)
-        left = order.judged(remaining(start, order, fraction, here))
-        delta = limit_step(left, speed_m_s, turn_rad_s)
+        delta = limit_step(
+            remaining(start, order, fraction, here),
+            speed_m_s,
+            turn_rad_s,
+            is_straight=order.keeps_rotation,
+        )
         yield fraction, left_m, here, delta
 
 
