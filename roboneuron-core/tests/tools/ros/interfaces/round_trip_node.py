@@ -26,6 +26,7 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
+from rn_testing.waiting import wait_until
 from roboneuron.tools.ros.interfaces import LOSSLESS, MessageInterface, load_interface
 
 QOS = QoSProfile(depth=10)
@@ -69,7 +70,7 @@ def serve(node: Node, names: list[str], seed: int) -> None:
                 node,
                 interface.ros_type,
                 topic(name),
-                lambda g, n=name, p=parts: execute(n, g, p, seed),
+                lambda g, n=name, p=parts: execute(node, n, g, p, seed),
             )
 
 
@@ -78,8 +79,11 @@ def answer(name: str, request: Any, parts: Any, seed: int) -> Any:
     return make(parts[1], seed)
 
 
-def execute(name: str, goal: Any, parts: Any, seed: int) -> Any:
+def execute(node: Node, name: str, goal: Any, parts: Any, seed: int) -> Any:
     report(name, "goal", goal.request, parts[0])
+    # the client sees the server before the server sees the client's subscription, and what is
+    # published until then is lost
+    wait_until(lambda: node.count_subscribers(f"{topic(name)}/_action/feedback") > 0)
     goal.publish_feedback(make(parts[2], seed))
     goal.succeed()
     return make(parts[1], seed)
