@@ -227,7 +227,9 @@ def test_both_arms_follow_a_policy_of_aloha(tmp_path: Path, make: Any) -> None:
     # on a busy machine the next chunk replaces the last rows
     assert same[: len(rows) // 2].all(), rows - chunk.actions
     assert control is not None
-    assert control.dropped_by == {}
+    # no row was refused; a machine that stands still for the action timeout lets control hold once
+    assert control.dropped_by.keys() <= {"holds"}
+    assert control.metrics.get("hold_code", "no_action") == "no_action"
     check_motion(seen)
 
 
