@@ -30,6 +30,12 @@ at up to 1000 a second.
 """
 
 
+def _known(joints: JointSample) -> dict[str, float]:
+    """The measured positions by joint; a driver may tell one that is not finite."""
+    pairs = zip(joints.names, joints.position.tolist(), strict=False)
+    return {name: position for name, position in pairs if math.isfinite(position)}
+
+
 def _have_moved(before: JointSample, now: JointSample) -> bool:
     return before is not now and (
         before.names != now.names or bool((np.abs(now.position - before.position) > _MOVED).any())
@@ -133,7 +139,7 @@ class DriverPaths:
     ) -> Iterator[tuple[Leg, Mapping[str, float]]]:
         """Each point, and the positions before it; continuous joints the shorter way."""
         kinds, limits = self._profile.kinds, self._profile.limits
-        before = dict(zip(joints.names, joints.position.tolist(), strict=False))
+        before = _known(joints)
         bounds: dict[str, tuple[float, float]] = {}
         if kinds.continuous and limits is not None:
             pairs = zip(limits.lower.tolist(), limits.upper.tolist(), strict=True)
@@ -158,9 +164,7 @@ class DriverPaths:
 
     def _judged(self, command: JointCommand, joints: JointSample) -> dict[str, float]:
         """Targets of a command by joint, but for grippers that are not measured."""
-        known = dict(zip(joints.names, joints.position.tolist(), strict=False))
-        measured = {name for name, position in known.items() if math.isfinite(position)}
-        left_out = {gripper.joint for gripper in self._profile.grippers} - measured
+        left_out = {gripper.joint for gripper in self._profile.grippers} - _known(joints).keys()
         targets = dict(zip(command.names, command.position.tolist(), strict=True))
         return {name: target for name, target in targets.items() if name not in left_out}
 
