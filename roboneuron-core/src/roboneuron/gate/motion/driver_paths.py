@@ -139,13 +139,13 @@ class DriverPaths:
     ) -> Iterator[tuple[Leg, Mapping[str, float]]]:
         """Each point, and the positions before it; continuous joints the shorter way."""
         kinds, limits = self._profile.kinds, self._profile.limits
-        before = _known(joints)
+        before = known = _known(joints)
         bounds: dict[str, tuple[float, float]] = {}
         if kinds.continuous and limits is not None:
             pairs = zip(limits.lower.tolist(), limits.upper.tolist(), strict=True)
             bounds = dict(zip(self._profile.arm_joints, pairs, strict=True))
         for index, command in enumerate(commands):
-            there = self._judged(command, joints)
+            there = self._judged(command, known)
             if kinds.continuous:
                 there = {
                     name: kinds.nearest(
@@ -162,9 +162,9 @@ class DriverPaths:
             yield leg, before
             before = {**before, **there}
 
-    def _judged(self, command: JointCommand, joints: JointSample) -> dict[str, float]:
+    def _judged(self, command: JointCommand, known: Mapping[str, float]) -> dict[str, float]:
         """Targets of a command by joint, but for grippers that are not measured."""
-        left_out = {gripper.joint for gripper in self._profile.grippers} - _known(joints).keys()
+        left_out = {gripper.joint for gripper in self._profile.grippers} - known.keys()
         targets = dict(zip(command.names, command.position.tolist(), strict=True))
         return {name: target for name, target in targets.items() if name not in left_out}
 
@@ -176,7 +176,7 @@ class DriverPaths:
         if not recent:
             return False
         newest_s, newest = recent[-1]
-        asked = self._judged(command, newest)
+        asked = self._judged(command, _known(newest))
         for at_s, joints in recent:
             if at_s < newest_s - _HOLDS_S:
                 continue
