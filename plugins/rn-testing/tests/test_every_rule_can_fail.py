@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import atexit
+import logging
 import os
 import tempfile
 from collections import Counter, defaultdict
@@ -204,6 +205,16 @@ def test_a_mutant_fails_the_rule_for_its_mistake(name, monkeypatch):
     assert outcome.verdict is RuleVerdict.FAILED, outcome
     assert mutant.words in outcome.detail, outcome
     assert outcome.detail
+
+
+def test_warnings_that_were_logged_before_hide_no_plugin_that_logs_them(monkeypatch):
+    logging.captureWarnings(True)
+    try:
+        test_a_mutant_fails_the_rule_for_its_mistake(
+            "settings:backend_captures_warnings", monkeypatch
+        )
+    finally:
+        logging.captureWarnings(False)
 
 
 @pytest.mark.parametrize(

@@ -138,10 +138,8 @@ def _restore_streams(before: tuple[TextIO, TextIO]) -> None:
 def _shared_names() -> tuple[tuple[ModuleType, str], ...]:
     """Functions and classes of shared modules; what a module loads later is not watched."""
     modules = [importlib.import_module(name) for name in _SHARED_MODULES]
-    return (
-        # because with it alone `captureWarnings` does nothing a second time
-        (logging, "_warnings_showwarning"),
-        *((module, name) for module in modules for name, v in vars(module).items() if callable(v)),
+    return tuple(
+        (module, name) for module in modules for name, v in vars(module).items() if callable(v)
     )
 
 
@@ -152,6 +150,10 @@ def _shared() -> dict[str, object]:
 def _restore_shared(before: dict[str, object]) -> None:
     for module, name in _shared_names():
         setattr(module, name, before[f"{module.__name__}.{name}"])
+
+
+def _warnings_logged() -> bool:
+    return vars(logging)["_warnings_showwarning"] is not None
 
 
 def _core_loggers() -> dict[str, tuple[object, ...]]:
@@ -238,6 +240,9 @@ SETTINGS: tuple[ProcessSetting[Any], ...] = (
     ),
     ProcessSetting("the root logger", _logging, _restore_logging),
     ProcessSetting("the filters of warnings", lambda: tuple(warnings.filters), _restore_filters),
+    ProcessSetting(
+        "whether warnings are logged", _warnings_logged, logging.captureWarnings, (False, False)
+    ),
     ProcessSetting("functions of other modules", _shared, _restore_shared),
     ProcessSetting("loggers of the core", _core_loggers, _restore_core_loggers),
     ProcessSetting("limits of the process", _limits, _restore_limits),
