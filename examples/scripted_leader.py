@@ -13,7 +13,8 @@ import math
 import sys
 import time
 
-from roboneuron.command import RosLink, discover, environment, load_profile
+from roboneuron.command import RosLink, discover, environment
+from roboneuron.feature import load_profile
 
 PERIOD_S, STEP_S = 4.0, 1.0 / 50.0
 SWAY_RAD = (0.25, 0.08, -0.08, 0.0, 0.3, 0.1, 0.2)

@@ -21,8 +21,9 @@ from rn_policy_cubes.weights import shipped_weights
 from rn_standard.console.client import spawned_server
 from rn_standard.demo.agent import DemoAgent, module_status
 from rn_testing.waiting import wait_until
-from roboneuron.command import RosLink, qos, topics
+from roboneuron.command import RosLink, qos
 from roboneuron.contract import to_ns
+from roboneuron.feature import topics
 from roboneuron.ros.environment import prepare_environment
 
 torch = pytest.importorskip("torch")

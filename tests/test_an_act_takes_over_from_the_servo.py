@@ -19,7 +19,8 @@ import pytest
 from rn_standard.console.client import spawned_server
 from rn_standard.demo.agent import DemoAgent, module_status
 from rn_testing.waiting import wait_until
-from roboneuron.command import RosLink, qos, topics
+from roboneuron.command import RosLink, qos
+from roboneuron.feature import topics
 from roboneuron.ros.environment import prepare_environment
 
 ROOT = Path(__file__).parents[1]

@@ -13,7 +13,7 @@ from import_facts import CORE, PLUGINS, SENDING_PACKAGE, STANDARD, imports_of
 from rn_testing.distribution import LISTS
 
 SENDING = (
-    *("roboneuron.ros.link", "roboneuron.feature.RosLink", "roboneuron.command.RosLink"),
+    *("roboneuron.ros.link", "roboneuron.command.RosLink"),
     *("roboneuron.direct_path.writer", "roboneuron.direct_path.traffic"),
 )
 """Names with which a message could be sent around the gate."""

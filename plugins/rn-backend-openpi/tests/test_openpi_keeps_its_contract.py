@@ -23,8 +23,8 @@ from rn_testing import (
     BackendCase,
     BackendContract,
 )
-from roboneuron.command import loading
 from roboneuron.contract import Observation
+from roboneuron.feature import loading
 
 README = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
 

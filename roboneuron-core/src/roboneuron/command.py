@@ -1,5 +1,5 @@
-"""Names of the core that commands may use, in addition to `roboneuron`; commands are separate
-processes, with or without a server.
+"""Names of the core that commands may use in addition to `roboneuron` and `roboneuron.feature`;
+commands are separate processes, with or without a server.
 
 See `roboneuron.feature` for the use of such a list.
 """
@@ -15,16 +15,10 @@ GROUPS: Mapping[str, frozenset[str]] = {
         "availability": "known_names missing present",
         "descriptor": "NAME_PATTERN check_spec",
         "environment": "CLIENT_TOKEN module_environment prepare_environment state_directory",
-        "estop": "EmergencyStopLatch",
-        "loading": "load_attribute load_options load_options_model load_target",
-        "log_files": "begin_logging opener",
         "messages": "intrinsics_from_camera_info to_image",
         "qos": "requested_qos",
-        "reading": "default_text read_tables robot_folder",
-        "settings": "EMERGENCY_STOP_TOPIC HOLD_DURATION_S",
         "state_folder": "add_arguments folders_of",
         "terminal": "add_verbosity is_agreed log_level",
-        "topics": "ACTION DIAGNOSTICS JOINT_STATES",
     }.items()
 }
 """Public names of these modules; checked by a contract rule of packages."""

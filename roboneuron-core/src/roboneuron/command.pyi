@@ -1,35 +1,23 @@
-"""Names of the core that commands may use, by defining module; `command.py` reads this file at run
-time.
+"""Names of the core that only commands may use, by defining module; `command.py` reads this
+file at run time.
 """
 
 # ruff: noqa: I001
 from collections.abc import Mapping
 
 # Modules, of which the names in `GROUPS` may be used.
-from . import (
-    estop as estop,
-    log_files as log_files,
-)
 from .cli import (
     state_folder as state_folder,
     terminal as terminal,
 )
-from .config import (
-    reading as reading,
-)
-from .modules import (
-    settings as settings,
-)
 from .plugins import (
     availability as availability,
     descriptor as descriptor,
-    loading as loading,
 )
 from .ros import (
     environment as environment,
     messages as messages,
     qos as qos,
-    topics as topics,
 )
 
 # Single names.
@@ -42,38 +30,15 @@ from .cli.main import (
     load_command as load_command,
     spoken as spoken,
 )
-from .config.models import (
-    Config as Config,
-)
 from .config.reading import (
     feature_options as feature_options,
     load_config as load_config,
 )
-from .gate.roles import (
-    Role as Role,
-)
-from .gate.audit import (
-    AuditLog as AuditLog,
-)
-from .gate.motion.limiter import (
-    MotionLimiter as MotionLimiter,
-)
 from .gate.motion.rules import (
-    motion_rules as motion_rules,
     poses_of as poses_of,
 )
 from .modules.parent_watch import (
     Signals as Signals,
-)
-from .modules.plugin import (
-    build as build,
-    load_profile as load_profile,
-)
-from .modules.report import (
-    Report as Report,
-)
-from .modules.settings import (
-    ModuleKind as ModuleKind,
 )
 from .planning import (
     check_configuration as check_configuration,
@@ -85,7 +50,6 @@ from .plugins.discovery import (
 from .plugins.registry import (
     Offer as Offer,
     PluginRecord as PluginRecord,
-    Registry as Registry,
     Status as Status,
 )
 from .plugins.specs import (
@@ -99,15 +63,6 @@ from .server.app import (
 )
 from .server.registry import (
     ERROR_META as ERROR_META,
-)
-from .supervisor.changes import (
-    Periodic as Periodic,
-)
-from .supervisor.health import (
-    EXPLANATIONS as EXPLANATIONS,
-    FAULTS as FAULTS,
-    Health as Health,
-    ModuleView as ModuleView,
 )
 
 __all__: list[str]

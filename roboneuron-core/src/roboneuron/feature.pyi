@@ -1,5 +1,5 @@
-"""Names of the core that features may use, by defining module; `feature.py` reads this file at run
-time.
+"""Names of the core that features and commands may use, by defining module; `feature.py` reads this
+file at run time.
 """
 
 # ruff: noqa: I001

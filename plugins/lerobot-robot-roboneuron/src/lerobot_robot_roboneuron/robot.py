@@ -15,7 +15,8 @@ from lerobot_robot_roboneuron.config_roboneuron import RoboNeuronConfig
 from lerobot_robot_roboneuron.serve import OwnServer
 from rn_robot_lerobot.units import motors_of
 from roboneuron import CameraProfile, ConfigurationError, RobotProfile, robot_space
-from roboneuron.command import discover, environment, load_profile
+from roboneuron.command import discover, environment
+from roboneuron.feature import load_profile
 
 if TYPE_CHECKING:
     from lerobot_robot_roboneuron.topics import RobotTopics

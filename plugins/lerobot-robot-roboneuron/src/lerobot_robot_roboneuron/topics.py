@@ -31,7 +31,8 @@ from roboneuron import (
     image_from_message,
     joints_from_message,
 )
-from roboneuron.command import Report, RosLink, settings, topics
+from roboneuron.command import RosLink
+from roboneuron.feature import Report, settings, topics
 
 F64 = NDArray[np.float64]
 

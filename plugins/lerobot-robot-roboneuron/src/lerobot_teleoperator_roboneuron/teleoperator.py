@@ -14,7 +14,8 @@ from lerobot_teleoperator_roboneuron.config_roboneuron_teleop import RoboNeuronT
 from lerobot_teleoperator_roboneuron.leaders import Leader, PageLeader, TopicLeader
 from rn_robot_lerobot.units import motors_of
 from roboneuron import ConfigurationError, InvalidInputError, NotReadyError, RobotProfile
-from roboneuron.command import discover, load_profile
+from roboneuron.command import discover
+from roboneuron.feature import load_profile
 
 
 class RoboNeuronTeleop(Teleoperator):

@@ -14,7 +14,7 @@ from roboneuron import BackendSpec, ConfigurationError
 
 if TYPE_CHECKING:
     from rn_backend_openpi.server_options import PolicyServerOptions
-    from roboneuron.command import Config, Registry
+    from roboneuron.feature import Config, Registry
 
 _OF_THE_MODEL = ("waiting", "most", "linger_s", "stateless")
 _NEW_NAMES = {"certificate_key": "key", "clients": "robots"}

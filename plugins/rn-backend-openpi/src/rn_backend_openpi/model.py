@@ -27,7 +27,8 @@ from roboneuron import (
     RobotProfile,
     RuntimeSpec,
 )
-from roboneuron.command import build, discover, load_profile
+from roboneuron.command import discover
+from roboneuron.feature import build, load_profile
 
 Many = Callable[[Sequence[Observation]], Sequence[ActionChunk]]
 METHOD = "predict_batch"

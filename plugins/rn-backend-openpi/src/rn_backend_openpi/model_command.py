@@ -26,7 +26,8 @@ class SharedModelCommand:
         from rn_backend_openpi.options import PolicyOptions
         from rn_backend_openpi.plugin import SHARED
         from rn_backend_openpi.server_process import serve
-        from roboneuron.command import load_config, loading
+        from roboneuron.command import load_config
+        from roboneuron.feature import loading
 
         options = loading.load_options(SHARED, load_config(arguments.config).options(SHARED.name))
         assert isinstance(options, PolicyOptions)

@@ -30,7 +30,8 @@ from roboneuron import (
     MissingDependencyError,
     NotReadyError,
 )
-from roboneuron.command import Registry, discover
+from roboneuron.command import discover
+from roboneuron.feature import Registry
 
 if TYPE_CHECKING:
     from ray.serve.handle import DeploymentHandle

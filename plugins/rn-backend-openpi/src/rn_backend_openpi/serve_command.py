@@ -170,7 +170,7 @@ def options_of(tables: dict[str, object], section: str) -> PolicyServerOptions:
     """
     from rn_backend_openpi.plugin import SERVE_COMMAND
     from rn_backend_openpi.server_options import PolicyServerOptions
-    from roboneuron.command import loading
+    from roboneuron.feature import loading
 
     described = replace(
         SERVE_COMMAND, config="rn_backend_openpi.server_options:PolicyServerOptions"

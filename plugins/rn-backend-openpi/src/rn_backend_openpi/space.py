@@ -19,7 +19,8 @@ from roboneuron import (
     RobotProfile,
     robot_space,
 )
-from roboneuron.command import discover, loading
+from roboneuron.command import discover
+from roboneuron.feature import loading
 
 
 def policy_space(options: Mapping[str, object], profile: RobotProfile) -> ControlSpace | None:

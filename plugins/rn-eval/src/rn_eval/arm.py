@@ -23,7 +23,7 @@ from roboneuron import (
     JointSample,
     SpaceController,
 )
-from roboneuron.command import MotionLimiter, motion_rules, settings
+from roboneuron.feature import MotionLimiter, motion_rules, settings
 
 F64 = NDArray[np.float64]
 _SHARE_OF_REST = 0.5

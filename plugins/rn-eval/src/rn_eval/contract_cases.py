@@ -20,7 +20,8 @@ from rn_eval.suite import F64, Setup, Suite
 from rn_robot_fr3.cell import FACING_M
 from rn_testing.case import Case
 from roboneuron import EE_DELTA, Controller, ControllerSpec, robot_space
-from roboneuron.command import build, discover, load_config, load_profile
+from roboneuron.command import discover, load_config
+from roboneuron.feature import build, load_profile
 
 TICKS = 20
 """Number of ticks for which a rule advances a scene."""

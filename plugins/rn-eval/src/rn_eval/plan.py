@@ -16,7 +16,8 @@ from rn_eval.hooks import SuiteSpec
 from rn_eval.latency import digest_of
 from rn_eval.suite import Episode, Suite
 from roboneuron import ConfigurationError, ControllerSpec, RobotSpec
-from roboneuron.command import Config, Offer, Registry, Status, build
+from roboneuron.command import Offer, Status
+from roboneuron.feature import Config, Registry, build
 from roboneuron.modules.control.planning import find_controller
 from roboneuron.modules.inference.planning import ResolvedPolicy, find_policy
 

@@ -9,7 +9,7 @@ from typing import Protocol, cast, runtime_checkable
 
 from rn_eval.plan import EvalPlan
 from roboneuron import ActionChunk, Backend, Observation
-from roboneuron.command import Registry, build
+from roboneuron.feature import Registry, build
 from roboneuron.modules.inference.agreement import SpaceAgreement
 
 

@@ -22,7 +22,8 @@ from rn_eval.record import EpisodeOutcome, EpisodeRecord, MachineFacts
 from rn_eval.suite import Setup
 from rn_eval.versions import installed_versions
 from roboneuron import EE_DELTA, BackendSpec, Controller, RoboNeuronError
-from roboneuron.command import build, discover, load_profile, motion_rules
+from roboneuron.command import discover
+from roboneuron.feature import build, load_profile, motion_rules
 from roboneuron.modules.execution.adaptive import AdaptiveExecutor
 from roboneuron.modules.execution.mode import Mode, abilities_of
 from roboneuron.modules.inference.agreement import SpaceAgreement, agree_on_space

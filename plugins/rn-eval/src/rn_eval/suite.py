@@ -17,7 +17,7 @@ from roboneuron import (
     Observation,
     RobotProfile,
 )
-from roboneuron.command import Config
+from roboneuron.feature import Config
 
 F64 = NDArray[np.float64]
 

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping
 from importlib.metadata import PackageNotFoundError, distribution
 
 from rn_eval.plan import EvalPlan
-from roboneuron.command import Registry
+from roboneuron.feature import Registry
 
 CORE = "roboneuron-core"
 SIMULATORS = ("pybullet", "mujoco")

@@ -13,7 +13,8 @@ import pytest
 from rn_eval.agents.cell import EpisodeFolder, end_process
 from rn_eval.agents.task import AgentScene, Companion
 from rn_eval.agents.tasks.refuse import PERSON_M
-from roboneuron.command import estop, load_config
+from roboneuron.command import load_config
+from roboneuron.feature import estop
 
 
 def cell_of(tmp_path: Path, **scene: object) -> EpisodeFolder:

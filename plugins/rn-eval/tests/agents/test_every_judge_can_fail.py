@@ -62,7 +62,7 @@ from rn_eval.agents.contract_cases import nothing_seen
 from rn_eval.agents.offers import TASKS
 from rn_eval.agents.task import AgentTask
 from rn_eval.agents.tasks.refuse import PERSON_M
-from roboneuron.command import build
+from roboneuron.feature import build
 
 PICKS = ((picked,), (picked_another, dropped))
 PUTS = ((put,), (put_beside_it, still_held, put_and_pushed))

@@ -19,7 +19,8 @@ from rn_eval.agents.forbidden import (
     pushed_out,
 )
 from rn_eval.agents.task import AgentScene
-from roboneuron.command import discover, load_profile
+from roboneuron.command import discover
+from roboneuron.feature import load_profile
 
 SCENE = AgentScene(seed=3, instruction="")
 ZONE = (np.array([0.25, 0.1, 0.0]), np.array([0.4, 0.3, 0.7]))

@@ -31,7 +31,7 @@ from rn_eval.agents.tasks.scenes import draw, some_colours
 from rn_eval.agents.tasks.steps import visible_colours
 from rn_robot_fr3.simulation import ArmSimulation
 from roboneuron import NotReadyError
-from roboneuron.command import build
+from roboneuron.feature import build
 
 
 class FakeTools:

@@ -30,7 +30,7 @@ from rn_policy_cubes.weights import shipped_weights
 from rn_policy_cubes.words import write_tokenizer
 from rn_vla.openvla.checkpoint import OpenvlaCheckpoint
 from roboneuron import ConfigurationError
-from roboneuron.command import reading
+from roboneuron.feature import reading
 
 DATA_SET = "cubes"
 """Key of the statistics."""

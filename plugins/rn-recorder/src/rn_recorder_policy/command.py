@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from rn_recorder_policy.demonstration import Demonstration
     from rn_recorder_policy.report import CheckReport
     from rn_recorder_runs.deployed import DeployedBackend
-    from roboneuron.command import Config
+    from roboneuron.feature import Config
 
 
 class CheckPolicy:

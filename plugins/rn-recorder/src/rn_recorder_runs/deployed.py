@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, cast
 from roboneuron import Backend, BackendSpec, CameraProfile, ConfigurationError, RobotProfile
 
 if TYPE_CHECKING:
-    from roboneuron.command import Config
+    from roboneuron.feature import Config
     from roboneuron.modules.inference.agreement import SpaceAgreement
 
 
@@ -55,7 +55,8 @@ def build_backend(
         ConfigurationError: options of a plugin that is not used here.
         RoboNeuronError: the backend does not fit the robot, or cannot be built.
     """
-    from roboneuron.command import build, discover, load_profile
+    from roboneuron.command import discover
+    from roboneuron.feature import build, load_profile
     from roboneuron.modules.inference.agreement import agree_on_space
     from roboneuron.modules.inference.planning import find_policy
 

@@ -26,7 +26,7 @@ from zstandard import ZstdError
 
 from rn_recorder_runs.action_labels import is_action, label_of, named_values
 from rn_recorder_runs.schemas import definition
-from roboneuron.command import log_files
+from roboneuron.feature import log_files
 
 CHUNK_BYTES = 1 << 20
 FLUSH_S = 0.5

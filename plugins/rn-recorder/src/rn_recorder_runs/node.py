@@ -31,7 +31,8 @@ from rn_recorder_runs.recording import Recording, Rules
 from rn_recorder_runs.settings import RecorderSettings
 from rn_recorder_runs.store import RunStore
 from roboneuron import RoboNeuronError, StateError
-from roboneuron.command import AuditLog, HangWatch, Signals, discover, environment, log_files
+from roboneuron.command import HangWatch, Signals, discover, environment
+from roboneuron.feature import AuditLog, log_files
 
 log = logging.getLogger("recorder")
 EVENTS_TOPIC, AUDIT_TOPIC = "/roboneuron/events", "/roboneuron/audit"

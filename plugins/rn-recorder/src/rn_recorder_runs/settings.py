@@ -11,7 +11,8 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict
 
-from roboneuron.command import environment, log_files
+from roboneuron.command import environment
+from roboneuron.feature import log_files
 
 SWITCH, PLAY = "ROBONEURON_RECORDER", "play"
 """Environment variable of a server: "off" disables recording (tests, small machines); PLAY too, but

@@ -11,7 +11,8 @@ from rn_testing.cases import CASES, Case
 from rn_testing.extension_cases import FeatureCase
 from rn_testing.kinds import kind_of
 from roboneuron import FeatureSpec, PluginError, Spec
-from roboneuron.command import discover, loading
+from roboneuron.command import discover
+from roboneuron.feature import loading
 
 
 def installed_needs(

@@ -10,7 +10,7 @@ from rn_testing.deadline import CALL_LIMITS_S, call_bounded
 from rn_testing.fakes import MemoryTopics
 from rn_testing.rule import Violation
 from roboneuron import DriverSpec, Spec
-from roboneuron.command import loading
+from roboneuron.feature import loading
 
 if TYPE_CHECKING:
     from pydantic import BaseModel

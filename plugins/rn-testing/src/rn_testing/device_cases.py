@@ -23,7 +23,7 @@ from roboneuron import (
     RobotProfile,
     RobotSpec,
 )
-from roboneuron.command import loading
+from roboneuron.feature import loading
 
 if TYPE_CHECKING:
     from pydantic import BaseModel

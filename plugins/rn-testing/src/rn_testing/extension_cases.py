@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, cast
 from rn_testing.case import Case
 from rn_testing.fakes import MemoryTopics
 from roboneuron import CommandSpec, FeatureSpec
-from roboneuron.command import loading
+from roboneuron.feature import loading
 
 if TYPE_CHECKING:
     from pydantic import BaseModel

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 from rn_testing.case import Case
 from rn_testing.rule import AnyRule
 from roboneuron import PluginError, Spec
-from roboneuron.command import discover, loading
+from roboneuron.command import discover
+from roboneuron.feature import loading
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

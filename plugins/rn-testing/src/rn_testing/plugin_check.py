@@ -17,7 +17,8 @@ from dataclasses import dataclass
 from rn_standard.console.chosen_plugins import add_config, find, read_disabled
 from rn_standard.console.plugin_options import add_option, read_options
 from roboneuron import ConfigurationError
-from roboneuron.command import PLUGIN_KINDS, Registry, Status, discover
+from roboneuron.command import PLUGIN_KINDS, Status, discover
+from roboneuron.feature import Registry
 
 SCHEMA_VERSION = 1
 """Version of the JSON document; raised if a key changes its meaning or is removed."""

@@ -23,7 +23,8 @@ from roboneuron import (
     RobotProfile,
     matrix_from_quaternion,
 )
-from roboneuron.command import discover, loading
+from roboneuron.command import discover
+from roboneuron.feature import loading
 
 CONTROLLER = "urdf"
 """The controller that tells distances; the written configuration names it too."""

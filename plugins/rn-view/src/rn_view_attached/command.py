@@ -13,7 +13,7 @@ from roboneuron import ConfigurationError, MissingDependencyError, install_comma
 if TYPE_CHECKING:
     from rn_view_attached.source import AttachedSource, ViewNode
     from rn_view_recorded.source import RecordedSource
-    from roboneuron.command import Config, Registry
+    from roboneuron.feature import Config, Registry
 
 
 class ViewCommand:
@@ -135,7 +135,8 @@ def _sources(
             "--directory needs --run.", hint="For the state directory of a server use --state."
         )
     from rn_view_attached.source import AttachedSource, ViewNode
-    from roboneuron.command import environment, reading
+    from roboneuron.command import environment
+    from roboneuron.feature import reading
 
     directory = environment.state_directory(
         str(arguments.state) if arguments.state else config.supervisor.state_directory

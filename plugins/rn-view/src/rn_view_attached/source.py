@@ -17,7 +17,7 @@ from rn_view.diagnostics.event_list import AuditReader, EventList, add_record
 from rn_view.diagnostics.module_health import HealthLines
 from rn_view.sources.source import MODULE_KINDS, ModuleRow, PageState, module_row, robot_profile
 from roboneuron import RobotProfile
-from roboneuron.command import AuditLog, Config, Registry, estop
+from roboneuron.feature import AuditLog, Config, Registry, estop
 from roboneuron.modules.arm_paths import UncheckedPaths
 
 M = TypeVar("M")

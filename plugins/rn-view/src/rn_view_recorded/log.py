@@ -13,7 +13,7 @@ from rn_view.diagnostics.event_list import EventList, ShownEvent, add_record, sh
 from rn_view.recordings.playback import Mark
 from rn_view.sources.source import chosen_plugin
 from roboneuron import ForeignDataError, foreign
-from roboneuron.command import FAULTS
+from roboneuron.feature import FAULTS
 
 T = TypeVar("T", bound=tuple[Any, ...])
 EVENTS, AUDIT = "/roboneuron/events", "/roboneuron/audit"

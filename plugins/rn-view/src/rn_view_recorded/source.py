@@ -25,7 +25,7 @@ from roboneuron import (
     StateError,
     foreign,
 )
-from roboneuron.command import Config, ModuleView, Periodic, Registry, Report
+from roboneuron.feature import Config, ModuleView, Periodic, Registry, Report
 from roboneuron.modules.arm_paths import UncheckedPaths
 
 log = logging.getLogger(__name__)

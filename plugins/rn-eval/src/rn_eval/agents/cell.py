@@ -25,7 +25,7 @@ from rn_simulation.slip import SWITCH as SLIP_SWITCH
 from rn_standard.console.client import spawned_server
 from rn_standard.tasks.history import TaskHistory
 from roboneuron import NotReadyError
-from roboneuron.command import estop
+from roboneuron.feature import estop
 
 if TYPE_CHECKING:
     from mcp import Client

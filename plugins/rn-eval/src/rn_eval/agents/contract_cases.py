@@ -19,7 +19,7 @@ from rn_testing.case import Case
 from rn_testing.kinds import Kind
 from rn_testing.rule import Rule, require
 from rn_testing.rules import OF_EVERY_DESCRIPTOR
-from roboneuron.command import loading
+from roboneuron.feature import loading
 
 _SEEDS = 6
 _LONGEST = 1500

@@ -27,7 +27,8 @@ from rn_eval.hooks import AgentSubjectSpec, AgentTaskSpec
 from rn_eval.ledger import RunLedger
 from rn_eval.pools import Located, connect, import_ray, run_on_actors
 from roboneuron import ConfigurationError
-from roboneuron.command import Registry, build, discover, environment, load_profile
+from roboneuron.command import discover, environment
+from roboneuron.feature import Registry, build, load_profile
 
 FAILED = "failed"
 """Folder for the files of failed episodes, by episode."""

@@ -13,7 +13,8 @@ import anyio
 from rn_eval.agents.client import Briefing, ToolClient, connect
 from rn_eval.hooks import AgentSubjectSpec
 from roboneuron import RoboNeuronError
-from roboneuron.command import discover, loading
+from roboneuron.command import discover
+from roboneuron.feature import loading
 
 Subject = Callable[[ToolClient, Briefing], Awaitable[str]]
 """An agent: carries out its briefing and returns its last words."""

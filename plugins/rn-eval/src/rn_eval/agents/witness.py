@@ -15,7 +15,8 @@ from rn_eval.agents.base_truth import BaseTruth
 from rn_eval.agents.truth import ARM_JOINTS, F64, Truth
 from rn_robot_fr3.cell import FR3
 from roboneuron import Controller, ControllerSpec, JointSample, StateError
-from roboneuron.command import build, discover, load_config, load_profile
+from roboneuron.command import discover, load_config
+from roboneuron.feature import build, load_profile
 
 if TYPE_CHECKING:
     from rn_simulation.scene_state import SceneState

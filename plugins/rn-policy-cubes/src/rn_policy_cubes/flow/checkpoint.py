@@ -29,7 +29,7 @@ from rn_policy_cubes.flow.words import write_flow_tokenizer
 from rn_policy_cubes.recipe import ACTION_WIDTH, GRID, PATCH_PX, STATE_WIDTH
 from rn_policy_cubes.teacher import STEP_S
 from roboneuron import ConfigurationError
-from roboneuron.command import reading
+from roboneuron.feature import reading
 
 FLOW_BACKEND = "pi0"
 FLOW_OPTIONS: Mapping[str, object] = {"profile": "own", "cpu_threads": 1}

@@ -8,7 +8,8 @@ from argparse import ArgumentParser
 from pathlib import Path
 
 from roboneuron import ConfigurationError, nearest
-from roboneuron.command import Offer, PluginRecord, Registry
+from roboneuron.command import Offer, PluginRecord
+from roboneuron.feature import Registry
 
 
 def add_config(parser: ArgumentParser) -> None:
@@ -25,7 +26,7 @@ def read_disabled(config: Path | None) -> tuple[str, ...]:
     """Read `disabled_plugins` of a configuration file, without validating the rest of it."""
     if config is None:
         return ()
-    from roboneuron.command import reading  # heavy: only for a file
+    from roboneuron.feature import reading  # heavy: only for a file
 
     names = reading.read_tables(config).get("disabled_plugins", [])
     if not (isinstance(names, list) and all(isinstance(n, str) for n in names)):

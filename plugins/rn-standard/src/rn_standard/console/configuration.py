@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, get_args, get_origin
 
 from rn_standard.console.options import UNSET, describe_options
 from roboneuron import FeatureSpec
-from roboneuron.command import discover, loading
+from roboneuron.command import discover
+from roboneuron.feature import loading
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
@@ -27,7 +28,7 @@ class ConfigShow:
 
     def run(self, arguments: Namespace) -> int:
         """Run `roboneuron config show`."""
-        from roboneuron.command import reading
+        from roboneuron.feature import reading
 
         print(reading.default_text() + feature_text(), end="")
         return 0
@@ -87,7 +88,7 @@ def reference() -> str:
     """Generate docs/configuration.md from the configuration models of core and of the installed
     features.
     """
-    from roboneuron.command import Config, reading
+    from roboneuron.feature import Config, reading
 
     lines = [
         "# Configuration",

@@ -18,14 +18,7 @@ from typing import TYPE_CHECKING, get_args
 
 from rn_standard.console.log_runs import log_runs
 from rn_standard.console.status import ReportedModule, ServerStatus
-from roboneuron.command import (
-    Health,
-    ModuleKind,
-    ModuleView,
-    Report,
-    estop,
-    reading,
-)
+from roboneuron.feature import Health, ModuleKind, ModuleView, Report, estop, reading
 
 if TYPE_CHECKING:
     from diagnostic_msgs.msg import DiagnosticArray
@@ -93,7 +86,8 @@ class DiagnosticsListener:
         environment.prepare_environment()
         from diagnostic_msgs.msg import DiagnosticArray  # heavy
 
-        from roboneuron.command import RosLink, topics
+        from roboneuron.command import RosLink
+        from roboneuron.feature import topics
 
         self._link = RosLink(f"roboneuron_status_{os.getpid()}")
         self._link.open()

@@ -11,15 +11,8 @@ from collections.abc import Sequence
 
 from rn_standard.console.chosen_plugins import add_config, read_disabled
 from roboneuron import CONTRACT_VERSION, __version__, foreign, install_command
-from roboneuron.command import (
-    Offer,
-    PluginRecord,
-    Registry,
-    Status,
-    availability,
-    discover,
-    spoken,
-)
+from roboneuron.command import Offer, PluginRecord, Status, availability, discover, spoken
+from roboneuron.feature import Registry
 
 SCHEMA_VERSION = 1
 MOST_OF_REASON = 2000

@@ -10,15 +10,8 @@ from rn_standard.console.chosen_plugins import add_config, find, read_disabled
 from rn_standard.console.options import describe_options
 from rn_standard.console.plugins_list import MOST_OF_REASON, STYLES
 from roboneuron import DriverSpec, RobotSpec, Spec, foreign
-from roboneuron.command import (
-    PLUGIN_KINDS,
-    Offer,
-    Registry,
-    Status,
-    availability,
-    discover,
-    loading,
-)
+from roboneuron.command import PLUGIN_KINDS, Offer, Status, availability, discover
+from roboneuron.feature import Registry, loading
 
 
 class PluginsShow:

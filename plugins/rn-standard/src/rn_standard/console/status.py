@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from roboneuron import foreign
-from roboneuron.command import FAULTS, Health, Report
+from roboneuron.feature import FAULTS, Health, Report
 
 
 class ModuleError(BaseModel):

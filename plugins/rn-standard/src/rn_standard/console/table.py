@@ -11,7 +11,7 @@ from rich.text import Text
 
 from rn_standard.console.status import ReportedModule, ServerStatus
 from roboneuron import foreign
-from roboneuron.command import EXPLANATIONS
+from roboneuron.feature import EXPLANATIONS
 
 _COLOURS = {
     "ok": "green",

@@ -112,7 +112,7 @@ def _kept(folder: Path) -> Iterator[None]:
     file has no effect.
     """
     from roboneuron import StateError
-    from roboneuron.command import log_files
+    from roboneuron.feature import log_files
 
     with open(folder / _FILE, "a+", encoding="utf-8", opener=log_files.opener) as file:
         try:

@@ -18,7 +18,8 @@ from rn_standard.demo.film import DemoFilm
 from rn_standard.demo.pace import MachinePace
 from rn_standard.demo.screen import HOLD_GOAL_S, LIFT_GOAL_M, DemoScreen
 from roboneuron import ConfigurationError, NotReadyError, RoboNeuronError
-from roboneuron.command import load_config, reading
+from roboneuron.command import load_config
+from roboneuron.feature import reading
 
 _LOOK_PERIOD_S = 0.25
 _PATIENCE_S = 3.0

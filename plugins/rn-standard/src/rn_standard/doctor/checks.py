@@ -28,17 +28,15 @@ from rn_standard.doctor.images import measure_image_transport
 from rn_standard.ops.maintenance import MaintenanceFile
 from roboneuron import RoboNeuronError, RobotSpec, install_command
 from roboneuron.command import (
-    Config,
-    Registry,
     Status,
     all_commands,
     availability,
     discover,
     environment,
-    estop,
     load_command,
     spoken,
 )
+from roboneuron.feature import Config, Registry, estop
 
 MIN_SHARED_MEMORY_MIB = 256
 """Required shared memory: a segment of 32 MiB for each of the five processes, and as much again for

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Protocol, runtime_checkable
 
-from roboneuron.command import Config
+from roboneuron.feature import Config
 
 
 class Severity(StrEnum):

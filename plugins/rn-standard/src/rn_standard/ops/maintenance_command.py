@@ -34,7 +34,8 @@ class Maintenance:
         """
         from rn_standard.ops.maintenance import MaintenanceFile
         from roboneuron import RefusedError
-        from roboneuron.command import AuditLog, Role, estop, terminal
+        from roboneuron.command import terminal
+        from roboneuron.feature import AuditLog, Role, estop
 
         folders = state_folder.folders_of(arguments)
         if not arguments.robot:

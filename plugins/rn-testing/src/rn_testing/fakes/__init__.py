@@ -18,8 +18,8 @@ from rn_testing.fakes.perception import FAKE_PERCEPTION, ControlledSource, gradi
 from rn_testing.fakes.robot import FAKE_ROBOT, FakeDriver, FakeDriverOptions, gantry_profile
 from rn_testing.fakes.topics import MemoryTopics
 from roboneuron import FeatureSpec, Spec
-from roboneuron.command import Offer, PluginRecord, Registry, Status
-from roboneuron.feature import Config, ModuleKind, Plan
+from roboneuron.command import Offer, PluginRecord, Status
+from roboneuron.feature import Config, ModuleKind, Plan, Registry
 
 FAKE_SPECS: tuple[Spec, ...] = (
     FAKE_BACKEND,

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from importlib.metadata import distributions
 from pathlib import Path
 
-from roboneuron.command import Registry, discover_from
+from roboneuron.command import discover_from
+from roboneuron.feature import Registry
 
 HEADER = """\
 from roboneuron.plugins.hookspecs import hookimpl

@@ -14,7 +14,7 @@ from rn_testing.effects import HEAVY_MODULES
 from rn_testing.rule import NotApplicable, Rule, require
 from rn_testing.rules.backend import backend_rule, loaded, predict
 from roboneuron import EE_DELTA, ControlSpace
-from roboneuron.command import loading
+from roboneuron.feature import loading
 
 PERIOD_SHARE = 0.02
 """Tolerance of a period relative to the declared rate."""

@@ -10,7 +10,8 @@ from rn_testing import case_options
 from rn_testing.cases import Case
 from rn_testing.rule import NotApplicable, Rule, Violation, require
 from roboneuron import CONTRACT_VERSION, DriverSpec, RobotSpec, Spec
-from roboneuron.command import descriptor, loading
+from roboneuron.command import descriptor
+from roboneuron.feature import loading
 
 AnyCase = Case[Spec]
 

@@ -30,7 +30,7 @@ from roboneuron import (
     RobotDriver,
     RobotState,
 )
-from roboneuron.command import loading
+from roboneuron.feature import loading
 
 READ_LIMIT_S = 0.02
 """Limit of the median duration of a `read`: the contract says 1 ms; the rest is for busy

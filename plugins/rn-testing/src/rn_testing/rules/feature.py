@@ -23,7 +23,6 @@ from rn_testing.fakes import fake_registry
 from rn_testing.lifecycle import ALONE, PURE, check_pure_constructor
 from rn_testing.process_state import find_changes
 from rn_testing.rule import Rule, require
-from rn_testing.rules.package_imports import SENDING_NAME
 
 if TYPE_CHECKING:
     from mcp.types import Tool
@@ -36,8 +35,7 @@ _SENDER = "roboneuron.direct_path"
 """Package of the gate, the only feature that sends."""
 _FORBIDDEN = (
     "rclpy",
-    f"roboneuron.feature.{SENDING_NAME}",
-    f"roboneuron.command.{SENDING_NAME}",
+    "roboneuron.command.RosLink",
     "roboneuron.direct_path.writer",
     "roboneuron.direct_path.traffic",
 )

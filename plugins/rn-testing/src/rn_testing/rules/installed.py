@@ -9,7 +9,8 @@ from collections.abc import Iterator
 from rn_testing.cases import PackageCase
 from rn_testing.distribution import normalise
 from roboneuron import DriverSpec, RobotSpec, Spec
-from roboneuron.command import Registry, discover
+from roboneuron.command import discover
+from roboneuron.feature import Registry
 
 
 def specs_of(case: PackageCase) -> Iterator[Spec | DriverSpec]:

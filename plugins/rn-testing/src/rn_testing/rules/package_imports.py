@@ -35,10 +35,6 @@ from rn_testing.rules import installed
 from rn_testing.rules.package import CORE, PAGE
 from roboneuron import CommandSpec, FeatureSpec, Spec
 
-SENDING_NAME = "RosLink"
-"""Class that joins the ROS graph and could send around the gate: only for commands, which are
-separate processes.
-"""
 KIT = "rn-testing"
 """Distribution of the contract kit."""
 HOUSE = "rn-standard"
@@ -48,11 +44,12 @@ public.
 
 
 def lists_for(*, features: bool, commands: bool, is_kit: bool = False) -> frozenset[str]:
-    """Names in `LISTS` that a plugin may use, depending on whether its offers run in the server, in
-    modules, or as a separate process. The contract kit may use all of them.
+    """Names in `LISTS` that a plugin may use, depending on whether its offers run in the server or
+    in modules, or as a separate process. The contract kit may use all of them.
     """
-    lists = {"roboneuron.feature"} if features or is_kit else set()
-    return frozenset(lists | ({"roboneuron.command"} if commands or is_kit else set()))
+    if commands or is_kit:
+        return frozenset(LISTS)
+    return frozenset({"roboneuron.feature"} if features else ())
 
 
 @functools.cache
@@ -88,8 +85,7 @@ def is_public(name: str, lists: Collection[str]) -> bool:
     name, used = [*inner[1:], "", ""][:2]
     is_listed = not name or name in LISTS[of].__all__
     is_open = not used or used in LISTS[of].GROUPS.get(name, ())
-    may_send = of != "roboneuron.feature" or name != SENDING_NAME
-    return of in lists and is_listed and is_open and may_send
+    return of in lists and is_listed and is_open
 
 
 def _check_direction(case: PackageCase) -> None:
@@ -220,7 +216,7 @@ RULES: tuple[Rule[PackageCase], ...] = (
     Rule(
         id="package/import-direction",
         text="Of the core it imports what `roboneuron` and the `__all__` of a module list; with "
-        "features or commands, `roboneuron.feature` or `roboneuron.command` too.",
+        "features or commands, `roboneuron.feature` too; with commands, `roboneuron.command`.",
         source=PAGE,
         check=_check_direction,
     ),

@@ -10,7 +10,7 @@ from pydantic import BaseModel
 from rn_testing.cases import Case
 from rn_testing.rule import NotApplicable, Rule, require
 from roboneuron import DriverSpec, RobotSpec, Spec
-from roboneuron.command import loading
+from roboneuron.feature import loading
 from roboneuron.selection.restricted import looks_restricted, marks
 
 

@@ -10,7 +10,8 @@ from rn_eval.agents.client import Briefing, ToolClient
 from rn_eval.agents.task import AgentTask
 from rn_eval.hooks import AgentTaskSpec
 from roboneuron import RoboNeuronError
-from roboneuron.command import build, discover
+from roboneuron.command import discover
+from roboneuron.feature import build
 
 
 async def act(tools: ToolClient, briefing: Briefing) -> str:
