@@ -22,8 +22,9 @@ from rn_simulation.ground_truth import SWITCH, TRUE_POSE_TOPIC
 from rn_testing.fakes import MemoryTopics, gantry_profile
 from rn_testing.waiting import wait_until
 from roboneuron.contract import JointCommand, RobotProfile
-from roboneuron.direct_path.twists import CMD_VEL, ODOMETRY
 from roboneuron.errors import ConfigurationError, InvalidInputError, StateError
+
+CMD_VEL, ODOMETRY = "cmd_vel", "odom"
 
 PROFILES = (diffdrive_profile, husky_profile, racecar_profile)
 

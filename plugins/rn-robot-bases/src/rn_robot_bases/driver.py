@@ -26,7 +26,7 @@ from roboneuron import (
     StateError,
     Topics,
 )
-from roboneuron.direct_path.twists import CMD_VEL, ODOMETRY, check_twist, twist_fields
+from roboneuron.direct_path.twists import check_twist
 
 _CATCH_UP_S = 0.2
 """Maximum time that the simulation catches up after a pause of the machine; less than the
@@ -86,9 +86,10 @@ class SimulatedBase:
         self._refusal, self._refusals = "", 0
         self._factor = 0.0
         if self._publish is None:
-            self._publish = self._topics.advertise(ODOMETRY, Odometry)
+            velocity, odometry = endpoints(PLATFORMS[name])
+            self._publish = self._topics.advertise(odometry.topic, Odometry)
             self._tell_truth = self._topics.advertise(TRUE_POSE_TOPIC, Odometry)
-            self._topics.subscribe(CMD_VEL, Twist, self._on_twist)
+            self._topics.subscribe(velocity.topic, Twist, self._on_twist)
         self._time.start(self._simulation, self._advance)
 
     def read(self) -> RobotState:
@@ -130,8 +131,8 @@ class SimulatedBase:
     def send(self, command: JointCommand) -> JointCommand:
         """Raise InvalidInputError: a base takes no joint positions."""
         raise InvalidInputError(
-            f"A mobile base is driven by {CMD_VEL}, {self._profile.name} takes no joint command.",
-            hint=f"Publish geometry_msgs/Twist on {CMD_VEL}.",
+            f"A mobile base is driven by cmd_vel, {self._profile.name} takes no joint command.",
+            hint="Publish geometry_msgs/Twist on cmd_vel.",
         )
 
     def hold(self) -> None:
@@ -152,7 +153,7 @@ class SimulatedBase:
             return
         with self._time.stepping:
             try:
-                check_twist(endpoints(simulation.platform)[0], twist_fields(message))
+                check_twist(endpoints(simulation.platform)[0], message)
                 simulation.drive(message.linear.x, message.angular.z)
             except RefusedError as error:
                 simulation.hold("a command was refused")

@@ -21,7 +21,7 @@ from rn_robot_lerobot.omni_base import WHEELS, BaseSetpoint
 from rn_robot_lerobot.wheel_guard import WheelGuard
 from rn_simulation.planar_motion import BaseVelocity, PlanarPose, integrate, to_message
 from roboneuron import InvalidInputError, RefusedError, RobotProfile, RobotState, Topics
-from roboneuron.direct_path.twists import CMD_VEL, ODOMETRY, check_twist, twist_fields
+from roboneuron.direct_path.twists import check_twist
 
 _KEYS = ("x.vel", "y.vel", "theta.vel")
 """LeRobot's names of a base velocity [m/s, m/s, degrees/s]."""
@@ -58,7 +58,8 @@ class LekiwiDriver(LerobotDriver):
         """Store the arguments."""
         options = config or LekiwiOptions()
         super().__init__(options, profile, topics)
-        self._endpoint = next(one for one in profile.endpoints if one.topic == CMD_VEL)
+        named = {endpoint.name: endpoint for endpoint in profile.endpoints}
+        self._velocity, self._odometry = named["velocity"], named["odometry"]
         self._publish: Callable[[Odometry], None] | None = None
         self._is_rolling = False
         self._guard: WheelGuard | None = None
@@ -73,8 +74,8 @@ class LekiwiDriver(LerobotDriver):
         self._pose, self._observed_s = PlanarPose(), time.monotonic()
         self._refusal, self._refusals = "", 0
         if self._publish is None:
-            self._publish = self._topics.advertise(ODOMETRY, Odometry)
-            self._topics.subscribe(CMD_VEL, Twist, self._on_twist)
+            self._publish = self._topics.advertise(self._odometry.topic, Odometry)
+            self._topics.subscribe(self._velocity.topic, Twist, self._on_twist)
         super().open()
 
     def read(self) -> RobotState:
@@ -96,10 +97,9 @@ class LekiwiDriver(LerobotDriver):
         """Called by the host's executor; it must not raise."""
         if not self.is_open:
             return
-        fields = twist_fields(message)
         with self._lock:
             try:
-                check_twist(self._endpoint, fields)
+                fields = check_twist(self._velocity, message)
                 if fault := self._told_fault():
                     raise RefusedError(f"The base is held by a fault: {fault}.", rule="fault")
             except RefusedError as error:

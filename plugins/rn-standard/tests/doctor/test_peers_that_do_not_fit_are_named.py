@@ -172,13 +172,13 @@ def test_ends_without_a_name_are_named_by_what_they_are(facts: dict[str, Any], s
 
 def test_doctor_counts_the_others_and_names_what_does_not_fit() -> None:
     alone = Graph({"rt/image": ([end("camera")], [end("view", process=2)])})
-    fine = judge(alone, alone)
+    fine = judge(peers.GraphSurvey.of(alone, alone))
     assert fine.verdict is Severity.OK
     assert fine.text.startswith("On the graph: 2 x Fast DDS.")
     graph = humble_graph()
     graph["rt/image"] = ([end("camera", qos=BEST_EFFORT)], [end("view", process=2)])
     graph["rq/fr3/doRequest"] = ([], [end("driver", vendor=CYCLONE, process=9)])
-    found = judge(graph, graph)
+    found = judge(peers.GraphSurvey.of(graph, graph))
     assert found.verdict is Severity.WARNING
     for said in (
         "1 x Cyclone DDS",

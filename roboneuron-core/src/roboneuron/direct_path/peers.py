@@ -4,7 +4,9 @@ another quality of service.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
 from roboneuron.direct_path.type_hashes import BARE, KNOWN, NAMELESS, check_type_hash
@@ -14,18 +16,7 @@ if TYPE_CHECKING:
     from rclpy.node import Node
     from rclpy.topic_endpoint_info import TopicEndpointInfo
 
-__all__ = [
-    "HUMBLE",
-    "HUMBLE_HINT",
-    "DdsGraph",
-    "NodeDdsGraph",
-    "both_ends",
-    "is_foreign",
-    "old_participants",
-    "participant_of",
-    "qos_mismatches",
-    "vendor_of",
-]
+__all__ = ["GraphSurvey", "NodeDdsGraph"]
 """Names that other distributions may use."""
 
 HUMBLE = (
@@ -212,6 +203,56 @@ def _own_middleware() -> str:
     from rclpy.utilities import get_rmw_implementation_identifier  # heavy
 
     return str(get_rmw_implementation_identifier())
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class GraphSurvey:
+    """What is incompatible on a whole graph.
+
+    Attributes:
+        participants: their number, by the vendor of their DDS.
+        problems: a fact, and what to do about it.
+    """
+
+    participants: Mapping[str, int]
+    problems: tuple[tuple[str, str], ...]
+
+    @classmethod
+    def of(cls, names: Iterable[str], graph: DdsGraph) -> GraphSurvey:
+        """Examine the topics with these DDS names."""
+        old = old_participants(graph)
+        vendors: dict[bytes, str] = {}
+        topics_of_old: list[str] = []
+        uncallable: list[str] = []
+        mismatches: list[str] = []
+        for name in sorted(names):
+            ends = both_ends(graph, name)
+            vendors |= {participant_of(info): vendor_of(info) for info in ends}
+            kind, _, rest = name.partition("/")
+            if kind == "rt":
+                mismatches += qos_mismatches(graph, f"/{rest}", old)
+                if any(participant_of(info) in old for info in ends):
+                    topics_of_old.append(f"/{rest}")
+            elif kind == "rq" and any(map(is_foreign, graph.dds_subscriptions(name))):
+                uncallable.append(f"/{rest.removesuffix('Request')}")
+        problems = []
+        if old:
+            where = f" Its topics: {_listed(topics_of_old)}." if topics_of_old else ""
+            problems.append((f"{HUMBLE}{where}", HUMBLE_HINT))
+        if uncallable:
+            fact = f"Services of another DDS cannot be called: {_listed(uncallable)}."
+            hint = "Start what serves them with the RMW_IMPLEMENTATION that is used here."
+            problems.append((fact, hint))
+        if mismatches:
+            left = len(mismatches) - _MOST
+            shown = [*mismatches[:_MOST], *([f"{left} more do not fit."] if left > 0 else [])]
+            hint = "Give one of the two the quality of service of the other."
+            problems.append((" ".join(shown), hint))
+        return cls(participants=Counter(vendors.values()), problems=tuple(problems))
+
+
+def _listed(names: list[str]) -> str:
+    return ", ".join([*names[:_MOST], *(["..."] if len(names) > _MOST else [])])
 
 
 def problems_of(kind: str, name: str, type_name: str, graph: DdsGraph) -> list[str]:

@@ -14,24 +14,21 @@ from roboneuron.errors import RefusedError
 if TYPE_CHECKING:
     from geometry_msgs.msg import Twist
 
-__all__ = ["CMD_VEL", "ODOMETRY", "base_endpoints", "check_twist", "twist_fields"]
+__all__ = ["base_endpoints", "check_twist"]
 """Names that other distributions may use."""
 
 TWIST_FIELDS = ("linear.x", "linear.y", "linear.z", "angular.x", "angular.y", "angular.z")
 """Paths of a geometry_msgs/Twist, in the base frame: forward x, left y, up z [m/s], rotation about
 them [rad/s].
 """
-CMD_VEL = "cmd_vel"
-"""Topic of velocity commands, geometry_msgs/Twist in the base frame."""
-ODOMETRY = "odom"
-"""Topic of odometry, nav_msgs/Odometry."""
 _TOLERANCE = 1e-9
 
 
 def base_endpoints(
     summary: str, bounds: Mapping[str, tuple[float, float]], *, min_turning_radius_m: float = 0.0
 ) -> tuple[Endpoint, Endpoint]:
-    """Create the endpoints for driving a base and for reading its odometry.
+    """Create the endpoints `velocity` (a geometry_msgs/Twist in the base frame on cmd_vel) and
+    `odometry` (nav_msgs/Odometry on odom) of a mobile base.
 
     Args:
         summary: description of the base's motion for the agent.
@@ -41,7 +38,7 @@ def base_endpoints(
     velocity = Endpoint(
         name="velocity",
         kind="publish",
-        topic=CMD_VEL,
+        topic="cmd_vel",
         type="geometry_msgs/msg/Twist",
         summary=f"{summary} It stops by itself when commands cease.",
         bounds=dict.fromkeys(TWIST_FIELDS, (0.0, 0.0)) | dict(bounds),
@@ -53,7 +50,7 @@ def base_endpoints(
     odometry = Endpoint(
         name="odometry",
         kind="read",
-        topic=ODOMETRY,
+        topic="odom",
         type="nav_msgs/msg/Odometry",
         summary="Pose since the start by wheel encoders [m, rad], which drifts slowly, and "
         "velocity in the base frame.",
@@ -61,25 +58,19 @@ def base_endpoints(
     return velocity, odometry
 
 
-def twist_fields(twist: Twist) -> dict[str, float]:
-    """Values by path."""
-    linear, angular = twist.linear, twist.angular
-    values = (linear.x, linear.y, linear.z, angular.x, angular.y, angular.z)
-    return dict(zip(TWIST_FIELDS, map(float, values), strict=True))
-
-
-def check_twist(endpoint: Endpoint, twist: Mapping[str, float]) -> None:
-    """Check that the base behind `endpoint` can execute `twist`.
+def check_twist(endpoint: Endpoint, twist: Twist | Mapping[str, float]) -> Mapping[str, float]:
+    """Check that the base behind `endpoint` can execute `twist`, and return its values by path.
 
     Args:
         endpoint: its `bounds` limit each field, its `min_turning_radius_m` the curvature.
-        twist: value by path, some of TWIST_FIELDS; absent ones are 0.
+        twist: a message, or a value by path, some of TWIST_FIELDS; absent ones are 0.
 
     Raises:
         RefusedError: a value is not finite or out of bounds, or the turn is sharper than the
             steering allows.
     """
-    for path, value in twist.items():
+    values = twist if isinstance(twist, Mapping) else _fields_of(twist)
+    for path, value in values.items():
         if not math.isfinite(value):
             raise RefusedError(
                 f"{path} is {value}, expected a finite number; nothing was sent to "
@@ -95,8 +86,15 @@ def check_twist(endpoint: Endpoint, twist: Mapping[str, float]) -> None:
                 f"{path} is {value:g}, expected {low:g} .. {high:g}: beyond the limits of the base."
             )
     _check_radius(
-        endpoint.min_turning_radius_m, twist.get("linear.x", 0.0), twist.get("angular.z", 0.0)
+        endpoint.min_turning_radius_m, values.get("linear.x", 0.0), values.get("angular.z", 0.0)
     )
+    return values
+
+
+def _fields_of(twist: Twist) -> dict[str, float]:
+    linear, angular = twist.linear, twist.angular
+    values = (linear.x, linear.y, linear.z, angular.x, angular.y, angular.z)
+    return dict(zip(TWIST_FIELDS, map(float, values), strict=True))
 
 
 def _check_radius(radius_m: float, linear_m_s: float, angular_rad_s: float) -> None:
