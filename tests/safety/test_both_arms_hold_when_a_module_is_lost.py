@@ -66,6 +66,7 @@ def test_both_arms_hold_when_control_is_gone(
     finally:
         if end == signal.SIGSTOP:
             os.kill(pid, signal.SIGCONT)
+            wait(lambda: pair.needs_start("control"), 5.0, "control knows that it was frozen")
         else:
             wait(
                 lambda: pair.supervisor.view("control").phase == "exited",

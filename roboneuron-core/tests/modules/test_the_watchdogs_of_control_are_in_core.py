@@ -67,3 +67,22 @@ def test_without_a_fresh_joint_state_the_next_one_is_held(make_host: MakeHost) -
     assert cell.host.values()["hold_code"] == "stale_joint_state"
     cell.measure()
     assert cell.holds() == [list(START)]
+
+
+def test_a_robot_that_is_lost_is_named_rather_than_the_actions_refused_without_it(
+    make_host: MakeHost,
+) -> None:
+    cell = Cell(make_host)
+    cell.host.clock.go(0.8 * TIMEOUT_S)
+    assert cell.holds() == [list(START)]
+    assert cell.host.values()["hold_code"] == "no_action"
+    cell.host.clock.go(STATE_TIMEOUT_S)
+    assert cell.holds() == [list(START)]
+    assert cell.host.values()["hold_code"] == "stale_joint_state"
+
+
+def test_of_both_causes_the_lost_robot_is_named(make_host: MakeHost) -> None:
+    cell = Cell(make_host)
+    cell.host.clock.go(TIMEOUT_S + STATE_TIMEOUT_S)
+    assert cell.holds() == []
+    assert cell.host.values()["hold_code"] == "stale_joint_state"

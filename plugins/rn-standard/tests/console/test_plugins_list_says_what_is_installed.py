@@ -85,6 +85,7 @@ def test_the_whole_list_shows_every_offer_and_what_to_do_about_trouble(
     only, capsys, monkeypatch, columns
 ):
     monkeypatch.setenv("COLUMNS", str(columns))
+    monkeypatch.setattr("roboneuron.cli.main.apply_verbosity", lambda _: None)  # it would last
     only.install("rn-good", GOOD)
     only.install("rn-bad", "1 / 0")
     assert main(["plugins", "list", "--verbose"]) == 0

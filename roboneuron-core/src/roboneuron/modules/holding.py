@@ -88,6 +88,7 @@ class HoldingModule(LimitedModule):
         self.is_holding = True
         # there was no joint state to hold at: the next one is held
         self._hold_is_due = False
+        self._hold_code = ""
         # a command of this process was sent: from then on the predecessor's are ignored
         self._is_sent = False
         self._server = server_node(os.getppid())
@@ -319,6 +320,7 @@ class HoldingModule(LimitedModule):
             return
         self.status.set(note=f"{HOLDING_NOTE}{reason}")
         self.status.set_value("hold_code", code)
+        self._hold_code = code
         if self.is_holding:
             return
         # before it is sent: a hold that is due is not sent twice
@@ -352,16 +354,19 @@ class HoldingModule(LimitedModule):
         """Hold within one timeout after the last action.
 
         The check runs five times per timeout and holds after three quarters of it, so the arm has
-        begun to hold before the timeout is over.
+        begun to hold before the timeout is over. A robot that is lost is named rather than the
+        actions, because these are refused without it.
         """
-        if not self.is_active or self.is_holding or not self.filters.is_ours(time.time_ns()):
+        if not self.is_active or not self.filters.is_ours(time.time_ns()):
             return
-        if time.monotonic() - self.action_s > self.section.hold_after_s:
-            self.hold("no_action", f"No action for {self.section.action_timeout_s:g} s.")
-        elif self._are_joints_stale():
+        if self.is_holding and self._hold_code != "no_action":
+            return
+        if self._are_joints_stale():
             self.hold(
                 "stale_joint_state", f"No joint state for {self.section.state_timeout_s:g} s."
             )
+        elif not self.is_holding and (time.monotonic() - self.action_s > self.section.hold_after_s):
+            self.hold("no_action", f"No action for {self.section.action_timeout_s:g} s.")
 
     def _command_hold(self, joints: JointSample) -> None:
         """Command the arm to stay at its measured posture; the limiter restarts from there.
