@@ -301,15 +301,15 @@ def test_joint_motions_of_an_arm_without_a_controller_are_refused(
 def test_a_profile_is_loaded_for_the_robot_that_is_configured_now(
     cell: Cell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    asked: list[tuple[Any, str]] = []
+    asked: list[tuple[Any, Any]] = []
 
-    def load(registry: Any, name: str) -> Any:
-        asked.append((registry, name))
+    def load(registry: Any, robot: Any) -> Any:
+        asked.append((registry, robot))
         return replace(PROFILE, endpoints=(DRIVE,))
 
     monkeypatch.setattr(allow_list_module, "load_profile", load)
     cell.list.refresh()
-    assert asked == [(cell.registry, "gantry")]
+    assert asked == [(cell.registry, cell.config.robot)]
     first = cell.list.exposed[0]
     assert (first.robot, first.namespace) == ("gantry", "gantry")
     cell.config = parse_config(CONTROLLED.replace("[control]", 'namespace = "cell_b"\n[control]'))

@@ -160,8 +160,8 @@ class Recorder(Feature[RecorderOptions]):
         modules.process_events.spawning.tell()
         config = self._host.config
         self._namespace = config.namespace
-        registry, robot = self._host.registry, config.robot.name
-        profile = load_profile(registry, robot) if robot in registry.specs(RobotSpec) else None
+        registry, robot = self._host.registry, config.robot
+        profile = load_profile(registry, robot) if robot.name in registry.specs(RobotSpec) else None
         settings = RecorderSettings(
             namespace=config.namespace,
             state_directory=self._host.state_directory,

@@ -89,7 +89,7 @@ def build_backend(
     given = options_of(backend)
     if checkpoint is not None:
         given["checkpoint"] = str(Path(checkpoint).expanduser())
-    profile = load_profile(registry, robot)
+    profile = load_profile(registry, settings.robot if robot == settings.robot.name else robot)
     agreement = agree_on_space(registry, policy.backend, given, robot, settings.control)
     parts = {
         part: None if chosen is None else build(chosen, options_of(chosen.name))

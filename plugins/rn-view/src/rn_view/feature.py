@@ -147,7 +147,7 @@ class _SharedPage:
 
 
 def _main_camera(host: Host) -> Camera | None:
-    cameras = load_profile(host.registry, host.config.robot.name).cameras
+    cameras = load_profile(host.registry, host.config.robot).cameras
     if not cameras:
         return None
     from sensor_msgs.msg import Image  # heavy

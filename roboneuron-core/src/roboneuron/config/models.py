@@ -9,14 +9,15 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9-]*$", max_length=64)]
-CameraName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=64)]
-Namespace = Annotated[
-    str, Field(pattern=r"^[a-zA-Z][a-zA-Z0-9_]*(/[a-zA-Z][a-zA-Z0-9_]*)*$", max_length=128)
-]
-Seconds = Annotated[float, Field(gt=0, le=3600)]
-Share = Annotated[float, Field(gt=0, le=1)]
-Point = Annotated[list[Annotated[float, Field(ge=-100, le=100)]], Field(min_length=3, max_length=3)]
+from roboneuron.config.cameras import CameraConfig
+from roboneuron.config.section import CameraName as CameraName
+from roboneuron.config.section import Name as Name
+from roboneuron.config.section import Namespace as Namespace
+from roboneuron.config.section import Point as Point
+from roboneuron.config.section import Seconds as Seconds
+from roboneuron.config.section import Section as Section
+from roboneuron.config.section import Share as Share
+
 Reaction = Literal["hold", "scale", "refuse"]
 """Reaction to a limit: hold at the measured posture, shorten the command, or send nothing and let
 the last command end.
@@ -24,12 +25,6 @@ the last command end.
 ModuleKind = Literal["robot", "perception", "inference", "control"]
 FIRST_STEP_S = 0.1
 """Time that control allows the arm for the first action after a pause [s]."""
-
-
-class Section(BaseModel):
-    """A table of roboneuron.toml: no unknown keys, no conversions, no changes."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
 
 class ModuleSection(Section):
@@ -60,6 +55,11 @@ class RobotConfig(ModuleSection):
     )
     state_rate_hz: Annotated[float, Field(ge=10, le=1000)] = Field(
         default=120.0, description="rate of joint_states"
+    )
+    cameras: dict[CameraName, CameraConfig] = Field(
+        default_factory=dict,
+        description="measured calibration of a camera, instead of that of the robot's profile; "
+        "`roboneuron cameras calibrate` writes it",
     )
 
 

@@ -148,7 +148,7 @@ class AllowList:
         name = config.robot.name
         if self._instead or name not in registry.specs(RobotSpec):
             return []
-        return profile_endpoints(name, config.namespace, load_profile(registry, name))
+        return profile_endpoints(name, config.namespace, load_profile(registry, config.robot))
 
     def _allowed(self, exposed: ExposedEndpoint) -> AllowedEndpoint:
         """Create the gate's entry; joint motions of an arm with a TCP get the limits that apply to

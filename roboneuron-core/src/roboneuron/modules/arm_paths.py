@@ -150,7 +150,7 @@ class UncheckedPaths:
 def _why(config: Config, registry: Registry, are_told: bool, told: str | None) -> str:
     """As `UncheckedPaths.why`; `told` is what the robot module says of places, None before that."""
     try:
-        profile = load_profile(registry, config.robot.name)
+        profile = load_profile(registry, config.robot)
     except RoboNeuronError:
         return ""
     # under another interpreter another controller may be installed

@@ -77,7 +77,7 @@ class HoldingModule(LimitedModule):
         if self.config.control is None:
             raise ConfigurationError("The configuration has no [control] section.")
         self.section = self.config.control
-        profile = load_profile(self.registry, self.config.robot.name)
+        profile = load_profile(self.registry, self.config.robot)
         self.profile = replace(profile, collision=collision_of(self.config.limits, profile))
         self.watched = JointWatch(self.profile, self.section.state_timeout_s)
         self.clock: Callable[[], float] = time.monotonic

@@ -82,7 +82,7 @@ class RobotModule(LimitedModule):
         self.on_state: list[Callable[[RobotState | None], None]] = []
         section = self.config.robot
         _, spec = find_robot(self.registry, section.name, section.driver)
-        self.profile = load_profile(self.registry, section.name)
+        self.profile = load_profile(self.registry, section)
         self._last = LastCommand(self.profile.kinds, section.command_timeout_s)
         self._topics = NodeTopics(node, accepts=lambda: self._active and not self.why_stopped())
         node.resources.callback(self._topics.close)

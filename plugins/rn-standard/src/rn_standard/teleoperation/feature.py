@@ -163,7 +163,7 @@ class Teleoperation(Feature[None]):
         host = self._host
         robot = host.config.robot.name
         exposed = named(host.gate.exposed, robot, LEAD_LABEL)
-        profile = load_profile(host.registry, robot)
+        profile = load_profile(host.registry, host.config.robot)
         self._listen()
         source, rate_hz = self._source(arguments, profile)
         source.open(host.subscribe)

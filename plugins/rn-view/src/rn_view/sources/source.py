@@ -98,7 +98,7 @@ def chosen_plugin(started_with: Mapping[str, object]) -> str:
 
 def robot_profile(config: Config, registry: Registry) -> RobotProfile:
     """Profile of the configured robot. Raises RoboNeuronError when its plugin cannot be used."""
-    return load_profile(registry, config.robot.name)
+    return load_profile(registry, config.robot)
 
 
 _PARTS = {part: f"backend.shared.{part}_ms" for part in ("round_trip", "link", "queue", "model")}

@@ -81,7 +81,7 @@ class InferenceModule(Module):
         if config is None:
             raise ConfigurationError("The configuration has no [inference] section.")
         policy, second = find_policies(self.config, self.registry, in_module=True)
-        profile = load_profile(self.registry, robot.name)
+        profile = load_profile(self.registry, robot)
         both = [policy] if second is None else [policy, second]
         cameras = resolved_cameras(both, profile)
         options = dict(self.config.options(policy.backend.name))

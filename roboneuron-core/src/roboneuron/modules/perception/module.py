@@ -46,7 +46,7 @@ class PerceptionModule(Module):
         config = self.config.perception
         if config is None:
             raise ConfigurationError("The configuration has no [perception] section.")
-        profile = load_profile(self.registry, self.config.robot.name)
+        profile = load_profile(self.registry, self.config.robot)
         cameras = _choose(profile.cameras, config.cameras, profile.name)
         spec = self.registry.get(PerceptionSpec, config.source)
         self._topics = NodeTopics(node)

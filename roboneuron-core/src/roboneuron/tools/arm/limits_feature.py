@@ -49,7 +49,7 @@ class LimitsFeature(Feature[None]):
         robots = host.registry.specs(RobotSpec)
         if host.config.control is None or host.config.robot.name not in robots:
             return ()
-        self._profile = load_profile(host.registry, host.config.robot.name)
+        self._profile = load_profile(host.registry, host.config.robot)
         host.events.change.listen(self._on_change)
         return limits_tools(host, self.tighten, self.loosen)
 

@@ -92,8 +92,11 @@ def exposure(
 
     def find(name: str, namespace: str | None) -> _ExposedRobot:
         if name not in robots:
-            own = config.namespace if name == config.robot.name else name.replace("-", "_")
-            profile = load_profile(registry, name) if name in registry.specs(RobotSpec) else None
+            is_own = name == config.robot.name
+            own = config.namespace if is_own else name.replace("-", "_")
+            profile = None
+            if name in registry.specs(RobotSpec):
+                profile = load_profile(registry, config.robot if is_own else name)
             space = namespace or own
             if any(robot.namespace == space for robot in robots.values()):
                 raise ConfigurationError(
