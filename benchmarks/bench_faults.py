@@ -193,9 +193,10 @@ class Bench:
             (self.driver_held_s(at_s) if kind == "control" else self.held_s(at_s)) - at_s,
         )
         self.note(fault, MOTION, self.stood_s(at_s))
-        self._start(kind)
+        self.restart(kind)
 
-    def _start(self, kind: ModuleKind) -> None:
+    def restart(self, kind: ModuleKind) -> None:
+        """Start a module, and the motion again."""
         arguments = (
             StartChosenInference(instruction="swing", options={}) if kind == "inference" else None
         )
@@ -219,7 +220,7 @@ class Bench:
             self._release()
             for kind in KINDS:
                 if self.loop.modules.view(kind).phase != "running":
-                    self._start(kind)
+                    self.restart(kind)
 
     def freeze(self) -> None:
         """Suspend inference, and resume it."""
