@@ -16,7 +16,7 @@ from roboneuron import EE_DELTA, JointSample, RobotProfile, UnsafeError
 from roboneuron.config import LimitsConfig
 from roboneuron.gate.motion import motion_rules
 from roboneuron.gate.motion.limiter import MotionLimiter
-from roboneuron.tools.arm.prediction import answer_to
+from roboneuron.tools.arm.prediction import ArmControl
 
 FINGER = "fr3_finger_joint1"
 
@@ -133,6 +133,7 @@ def test_no_sequence_of_actions_brings_a_link_into_a_zone_of_the_arm(seed: int) 
     rules = motion_rules(LimitsConfig.model_validate({"zones": zones}), robot)
     limiter = MotionLimiter.of(rules, robot, controller, immediate=False, longest_s=2.0)
     limiter.rest(joints, 0.0)
+    control = ArmControl(controller, limiter, robot, rules)
     truth = _Truth(robot, [WALL, VASE])
     random, refused, action = np.random.default_rng(seed), 0, np.zeros(7)
     for step in range(250):
@@ -142,7 +143,7 @@ def test_no_sequence_of_actions_brings_a_link_into_a_zone_of_the_arm(seed: int) 
             )
             action[:2] = np.sign(random.uniform(-1.0, 1.0, 2)) * 0.02
         now_s = 0.1 * (step + 1)
-        answered = answer_to(controller, limiter, EE_DELTA, action, joints, now_s, 0.1)
+        answered = control.answer(EE_DELTA, action, joints, now_s, 0.1)
         refused += "zone" in answered.rules
         if answered.command is None:
             limiter.rest(joints, now_s)

@@ -17,7 +17,6 @@ GROUPS: Mapping[str, frozenset[str]] = {
     name: frozenset(names.split())
     for name, names in {
         "estop": "EmergencyStopLatch",
-        "joint_space": "JointLimit",
         "loading": "load_attribute load_options load_options_model load_target",
         "log_files": "PlainFormatter begin_logging opener read_tail",
         "models": "Name Seconds",

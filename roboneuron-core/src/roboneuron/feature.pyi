@@ -14,9 +14,6 @@ from .config import (
     models as models,
     reading as reading,
 )
-from .gate.motion import (
-    joint_space as joint_space,
-)
 from .modules import (
     settings as settings,
 )
@@ -59,7 +56,6 @@ from .gate.motion.limiter import (
 )
 from .gate.motion.rules import (
     MotionRules as MotionRules,
-    inspector_of as inspector_of,
     motion_rules as motion_rules,
 )
 from .modules.plugin import (
@@ -103,9 +99,6 @@ from .server.motion_gate import (
 )
 from .server.registry import (
     ToolRegistry as ToolRegistry,
-)
-from .server.schema import (
-    Shape as Shape,
 )
 from .server.surface import (
     make_server as make_server,

@@ -23,6 +23,7 @@ from roboneuron.contract import (
 )
 from roboneuron.gate.motion import MotionLimiter, motion_rules
 from roboneuron.gate.motion.path_limits import Leg
+from roboneuron.tools.arm.prediction import ArmControl
 
 PROFILE = RobotProfile(name="gantry", arm_joints=("x", "y"))
 PANE = {"name": "pane", "lower_m": [0.095, -1.0, 0.0], "upper_m": [0.105, 1.0, 1.0]}
@@ -93,7 +94,8 @@ def arm_of(twin: Slides, limit_s: float = 60.0, **limits: object) -> TwinArm:
 
     limiter = MotionLimiter(rules, PROFILE, gantry.forward, inspect, longest_s=1.0)
     survey = Survey(rules, gantry)
-    return TwinArm(twin, gantry, limiter, PROFILE, survey, time.monotonic() + limit_s)
+    control = ArmControl(gantry, limiter, PROFILE, rules)
+    return TwinArm(twin, control, survey, time.monotonic() + limit_s)
 
 
 def move(x: float, z: float = 0.0) -> np.ndarray:

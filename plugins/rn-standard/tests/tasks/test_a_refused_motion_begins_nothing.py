@@ -32,7 +32,9 @@ class Judge:
         self.refuses = refuses
         self.judged: list[list[Mapping[str, float]]] = []
 
-    def check_path(self, steps: Sequence[Mapping[str, float]], context: Any) -> None:
+    def check_path(
+        self, steps: Sequence[Mapping[str, float]], context: Any, rehearsal: Any = None
+    ) -> None:
         self.judged.append(list(steps))
         if self.refuses:
             raise RefusedError("steps[3]: The TCP would enter the pane.", rule="zone")

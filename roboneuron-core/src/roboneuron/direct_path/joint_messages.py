@@ -8,9 +8,6 @@ from typing import Any
 from roboneuron.direct_path.fields import nested, type_name_of
 from roboneuron.direct_path.message_types import MessageName, RosMessage
 
-__all__ = ["joint_commands"]
-"""Names that other distributions may use."""
-
 JOINT_TYPES: tuple[MessageName[RosMessage], ...] = (
     MessageName("trajectory_msgs/msg/JointTrajectory"),
     MessageName("sensor_msgs/msg/JointState"),

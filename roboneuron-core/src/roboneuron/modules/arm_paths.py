@@ -21,7 +21,7 @@ from roboneuron.modules.settings import COLLISION_CHECKED, PLACES_CHECKED, PLACE
 from roboneuron.plugins.registry import Registry
 from roboneuron.plugins.specs import ControllerSpec
 
-__all__ = ["ArmPaths", "UncheckedPaths"]
+__all__ = ["UncheckedPaths"]
 """Names that other distributions may use."""
 
 _Key = tuple[str, str]

@@ -28,6 +28,7 @@ from roboneuron.errors import ConfigurationError, InvalidInputError, RefusedErro
 from roboneuron.gate.motion import check_tighter, motion_rules
 from roboneuron.tools.arm import limits_tools
 from roboneuron.tools.arm.limits_tools import TightenLimits
+from roboneuron.tools.arm.prediction import ArmControl
 from roboneuron.tools.arm.tightening import TightenedRecord, Tightening, TighteningFile
 
 PROFILE = RobotProfile(
@@ -114,7 +115,10 @@ def test_it_is_told_how_far_now_and_home_are_beyond(monkeypatch: pytest.MonkeyPa
 
         def close(self) -> None: ...
 
-    monkeypatch.setattr(limits_tools, "control_of", lambda host, exposed: (Slide(), None))
+    slide: Any = Slide()
+    anything: Any = None
+    control = ArmControl(slide, anything, arm, anything)
+    monkeypatch.setattr(ArmControl, "of", lambda host, exposed: control)
     here = JointSample(names=("y",), position=np.array([0.0]))
     gate = SimpleNamespace(
         exposed=[SimpleNamespace(profile=arm)], joints=lambda exposed, wait_s: here

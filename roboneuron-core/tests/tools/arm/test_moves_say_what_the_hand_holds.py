@@ -22,13 +22,13 @@ from roboneuron.gate.motion.joint_space import JointLimit
 from roboneuron.modules.report import Report
 from roboneuron.server import clock
 from roboneuron.server.call_chain import SimulatedContext
-from roboneuron.server.clock import RobotClock
 from roboneuron.server.motion_gate import GateRequest, Sent, TimedCommand, Verdict
 from roboneuron.tools.arm import grip, joints
 from roboneuron.tools.arm.ee_move import MoveEndEffector
 from roboneuron.tools.arm.end_effector import EndEffectorMover
 from roboneuron.tools.arm.grip_height import GripHeight
-from roboneuron.tools.arm.joints import JointMover, MoveJoints
+from roboneuron.tools.arm.joint_goals import MoveJoints
+from roboneuron.tools.arm.joints import JointMover
 from roboneuron.tools.arm.measured import SpeedMeter
 from roboneuron.tools.arm.options import ArmToolsOptions
 from roboneuron.tools.arm.place_plans import PlaceArguments
@@ -147,7 +147,7 @@ class Arm:
         modules = SimpleNamespace(view=view, require_running=lambda kind: None)
         return SimpleNamespace(
             modules=modules,
-            clock=lambda namespace: RobotClock(),
+            clock=lambda namespace: clock.RobotClock(),
             loop=SimpleNamespace(limits=LimitsConfig()),
             config=SimpleNamespace(namespace="arm", robot=SimpleNamespace(name="arm")),
             gate=self,

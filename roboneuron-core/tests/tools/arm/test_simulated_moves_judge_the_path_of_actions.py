@@ -19,7 +19,7 @@ from roboneuron.contract import (
     RobotProfile,
 )
 from roboneuron.gate.motion import MotionLimiter, motion_rules
-from roboneuron.tools.arm.prediction import PredictedArm
+from roboneuron.tools.arm.prediction import ArmControl, PredictedArm
 
 PROFILE = RobotProfile(name="gantry", arm_joints=("x", "y"))
 PANE = {"name": "pane", "lower_m": [0.095, -1.0, 0.0], "upper_m": [0.105, 1.0, 1.0]}
@@ -61,7 +61,8 @@ def predicted(gantry: Gantry, longest_s: float = 1.0, **limits: object) -> Predi
         return Posture(pose=gantry.forward(joints))
 
     limiter = MotionLimiter(rules, PROFILE, gantry.forward, inspect, longest_s=longest_s)
-    return PredictedArm(gantry, limiter, JointSample(names=("x", "y"), position=np.zeros(2)))
+    control = ArmControl(gantry, limiter, PROFILE, rules)
+    return PredictedArm(control, JointSample(names=("x", "y"), position=np.zeros(2)))
 
 
 def move(x: float, y: float = 0.0, z: float = 0.0) -> NDArray[np.float64]:

@@ -44,10 +44,11 @@ from roboneuron.tools.arm import grip, joints
 from roboneuron.tools.arm.arm_rows import ArmRows, Rest
 from roboneuron.tools.arm.ee_move import MoveEndEffector
 from roboneuron.tools.arm.end_effector import EndEffectorMover
-from roboneuron.tools.arm.joints import JointMover, MoveJoints
+from roboneuron.tools.arm.joint_goals import MoveJoints
+from roboneuron.tools.arm.joints import JointMover
 from roboneuron.tools.arm.measured import SpeedMeter
 from roboneuron.tools.arm.options import ArmToolsOptions
-from roboneuron.tools.arm.prediction import PredictedArm
+from roboneuron.tools.arm.prediction import ArmControl, PredictedArm
 from roboneuron.tools.arm.several_arms import OfArm, of_named_arm
 from roboneuron.tools.arm.tools import arm_tools
 
@@ -337,8 +338,9 @@ class Gantries:
 
 def test_a_simulated_move_follows_the_rows_of_both_arms() -> None:
     gantries: Any = Gantries()
+    rules = motion_rules(LimitsConfig(), PAIR)
     limiter = MotionLimiter(
-        motion_rules(LimitsConfig(), PAIR),
+        rules,
         PAIR,
         gantries.forward,
         gantries.inspect,
@@ -346,7 +348,7 @@ def test_a_simulated_move_follows_the_rows_of_both_arms() -> None:
         longest_s=1.0,
     )
     joints = JointSample(names=JOINTS, position=np.array([0.3, 0.0, 0.9, 0.0]))
-    arm = PredictedArm(gantries, limiter, joints)
+    arm = PredictedArm(ArmControl(gantries, limiter, PAIR, rules), joints)
     poses = dict(zip(SIDES, arm.poses(), strict=True))
     rows = ArmRows.of(PAIR, "right", {side: Rest(pose=pose) for side, pose in poses.items()})
     for _ in range(3):

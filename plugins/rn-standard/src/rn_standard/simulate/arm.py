@@ -11,16 +11,13 @@ from rn_standard.simulate.results import Survey
 from rn_standard.simulate.twin import Twin
 from roboneuron import (
     F64,
-    Controller,
     ControlSpace,
     JointCommand,
     JointSample,
     Pose,
-    RobotProfile,
 )
-from roboneuron.feature import MotionLimiter
 from roboneuron.gate.motion.path_limits import Leg
-from roboneuron.tools.arm.prediction import answer_to
+from roboneuron.tools.arm.prediction import ArmControl
 
 _LOOK_S = 0.1
 _HOLD_S = 0.05
@@ -35,7 +32,7 @@ class TooLongError(Exception):
 
 
 class TwinArm:
-    """Follows the protocol `DrivenArm`; used from one thread. It has a twin, and no publisher.
+    """Follows the protocol `RehearsedArm`; used from one thread. It has a twin, and no publisher.
 
     Attributes:
         held: why the newest row was not carried out.
@@ -48,26 +45,22 @@ class TwinArm:
     def __init__(
         self,
         twin: Twin,
-        controller: Controller,
-        limiter: MotionLimiter,
-        profile: RobotProfile,
+        control: ArmControl,
         survey: Survey,
         end_s: float,
     ) -> None:
         """Args:
         twin: open.
-        controller, limiter: as control has them, and used by nobody else.
-        profile: of the robot.
+        control: of the arm, and used by nobody else.
         survey: to be told of each posture.
         end_s: monotonic time by which the simulation has to be over [s].
         """
         self.held = self.rule = ""
         self.survey = survey
         self.passed_s = self.rested_s = 0.0
-        self._twin, self._controller, self._limiter = twin, controller, limiter
-        self._profile, self._end_s = profile, end_s
+        self._twin, self._control, self._end_s = twin, control, end_s
         self._is_holding = False
-        limiter.rest(twin.joints(), 0.0)
+        control.rest(twin.joints(), 0.0)
         self._look()
 
     def joints(self) -> JointSample:
@@ -76,7 +69,7 @@ class TwinArm:
 
     def poses(self) -> tuple[Pose, ...]:
         """TCP pose of each arm, of the joints that the twin measures. Raises UnsafeError."""
-        return self._limiter.poses(self._twin.joints())
+        return self._control.poses(self._twin.joints())
 
     def follow(self, space: ControlSpace, row: F64, step_s: float) -> None:
         """As `command`, and let its time pass. Raises TooLongError."""
@@ -86,9 +79,7 @@ class TwinArm:
     def command(self, space: ControlSpace, row: F64, step_s: float) -> None:
         """Send what control makes of a row: the same controller, limits and holds."""
         joints = self._twin.joints()
-        answered = answer_to(
-            self._controller, self._limiter, space, row, joints, self.passed_s, step_s
-        )
+        answered = self._control.answer(space, row, joints, self.passed_s, step_s)
         self.held = answered.held
         self.rule = answered.rules[-1] if answered.held and answered.rules else ""
         self.survey.limits.update(dict.fromkeys(answered.rules, 1))
@@ -148,14 +139,14 @@ class TwinArm:
 
     def _look(self) -> None:
         joints = self._twin.joints()
-        self.survey.look(joints, self._limiter.poses(joints), self.passed_s)
+        self.survey.look(joints, self._control.poses(joints), self.passed_s)
 
     def _hold(self, joints: JointSample) -> None:
-        arm = self._profile.arm_joints
+        arm = self._control.profile.arm_joints
         here = dict(zip(joints.names, joints.position.tolist(), strict=True))
         position = np.array([here[name] for name in arm])
         self._twin.send(JointCommand(names=arm, position=position, duration_s=_HOLD_S))
-        self._limiter.rest(joints, self.passed_s)
+        self._control.rest(joints, self.passed_s)
 
     def _of(self, target: dict[str, float]) -> dict[str, float]:
         joints = self._twin.joints()
@@ -164,6 +155,6 @@ class TwinArm:
 
     def _is_there(self, target: dict[str, float], here: dict[str, float]) -> bool:
         return all(
-            abs(here[name] - value) < self._profile.tolerance(name)
+            abs(here[name] - value) < self._control.profile.tolerance(name)
             for name, value in target.items()
         )

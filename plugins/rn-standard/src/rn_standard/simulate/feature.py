@@ -7,7 +7,7 @@ import threading
 import time
 from collections.abc import Sequence
 from contextlib import ExitStack, suppress
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,10 +15,11 @@ from numpy.typing import NDArray
 from rn_standard.simulate.arm import TooLongError, TwinArm
 from rn_standard.simulate.options import SimulateOptions
 from rn_standard.simulate.results import Outcome, Simulated, Survey
-from rn_standard.simulate.session import MODELS, EndedError, Session, arm_endpoint, paths_of
+from rn_standard.simulate.session import EndedError, Session, arm_endpoint
 from rn_standard.simulate.task import policy_of
 from rn_standard.simulate.twin import Twin, driver_of, has_twin, scene_of
 from rn_standard.simulate.twin_process import TwinProcess
+from rn_standard.tasks.moving import MoveToArguments
 from rn_standard.tasks.run_task import RunTask
 from roboneuron import (
     Arguments,
@@ -34,11 +35,9 @@ from roboneuron import (
     RobotProfile,
     Tool,
 )
-from roboneuron.feature import AuditRecord, MotionLimiter, Role, Shape, Simulator
-from roboneuron.tools.arm.ee_move import MoveEndEffector
-from roboneuron.tools.arm.picking import PickArguments
-from roboneuron.tools.arm.place_plans import PlaceArguments
-from roboneuron.tools.arm.pushing import PushArguments
+from roboneuron.feature import AuditRecord, Role, Simulator
+from roboneuron.server.rehearsal import Rehearsable
+from roboneuron.tools.arm.prediction import ArmControl
 
 NAME = "simulate"
 _JOINTS_S = 2.0
@@ -47,8 +46,6 @@ _START_S = 30.0
 _GRACE_S = 3.0
 """So much later than the simulation's own bound a twin that does not answer is killed."""
 _SIZE_PX = (320, 240)
-_IN_SCENE = RunTask | PickArguments | PlaceArguments | PushArguments
-"""Calls that need to know what stands where."""
 
 
 class SimulateArguments(Arguments):
@@ -96,7 +93,7 @@ class SimulateFeature(Feature[SimulateOptions]):
     async def _simulate(self, arguments: SimulateArguments, context: CallContext) -> Reply:
         """Raises InvalidInputError, NotReadyError, RefusedError."""
         tool = self._host.tools.get(arguments.tool)
-        if tool is None or not _can(tool):
+        if tool is None or "twin" not in tool.simulated_by:
             raise InvalidInputError(f"{arguments.tool[:64]!r} cannot be simulated.", path="tool")
         parsed = tool.parsed(arguments.arguments)
         if isinstance(parsed, RunTask):
@@ -129,24 +126,11 @@ class SimulateFeature(Feature[SimulateOptions]):
         if joints is None:
             raise NotReadyError("The joints are not measured.", hint="Call start_robot first.")
         with ExitStack() as open_:
-            paths = paths_of(host)
-            controller, limited = paths.load(exposed.robot, profile)
-            open_.callback(controller.close)
-            rules = paths.rules(exposed.robot, profile)
-            control = host.loop.base.control
-            limiter = MotionLimiter.of(
-                rules,
-                limited,
-                controller,
-                immediate=control is not None and control.command == "joint_state",
-                longest_s=host.loop.base.robot.server_timeout_s,
-            )
+            control = ArmControl.of(host, exposed)
+            open_.callback(control.close)
             twin = self._twin(profile)
             scene = scene_of(host, twin) if self.options.objects else None
-            if (
-                isinstance(parsed, RunTask | PickArguments | PlaceArguments | PushArguments)
-                and scene is None
-            ):
+            if scene is None and "scene" in _needs_of(tool, parsed):
                 raise RefusedError(
                     f"{tool.name} can be simulated in a simulated cell that runs: elsewhere it is "
                     "not known what stands where.",
@@ -155,13 +139,13 @@ class SimulateFeature(Feature[SimulateOptions]):
                 )
             open_.callback(twin.close)
             twin.open(joints, scene)
-            survey = Survey(rules, controller)
+            survey = Survey(control.rules, control.controller)
             end_s = time.monotonic() + self.options.limit_s
             twin.end_s = end_s + _GRACE_S
-            arm = TwinArm(twin, controller, limiter, limited, survey, end_s)
-            session = Session(host, exposed, limited, rules, controller, arm, twin, context)
+            arm = TwinArm(twin, control, survey, end_s)
+            session = Session(host, exposed.namespace, control, arm, twin, context)
             outcome, rule, reason = self._ended(session, tool, parsed)
-            names = [part.name for part in limited.each_arm]
+            names = [part.name for part in control.profile.each_arm]
             named = getattr(parsed, "arm", "")
             pose = arm.poses()[names.index(named) if named in names else 0]
             there = twin.joints()
@@ -232,7 +216,7 @@ class SimulateFeature(Feature[SimulateOptions]):
                 with host.loop.starts.claims.admit(parsed.instruction):
                     return ""
             host.gate.check_free(arm_endpoint(host))
-            if isinstance(parsed, MoveEndEffector | PickArguments | PlaceArguments | PushArguments):
+            if "control" in _needs_of(tool, parsed):
                 host.modules.require_running("control")
         except RoboNeuronError as error:
             return str(error)
@@ -255,9 +239,13 @@ class SimulateFeature(Feature[SimulateOptions]):
             self._host.audit.write(record)
 
 
-def _can(tool: Tool[Any]) -> bool:
-    kind = tool.arguments
-    return (kind.model if isinstance(kind, Shape) else kind) in MODELS
+def _needs_of(tool: Tool[Any], parsed: object) -> frozenset[str]:
+    """See `Rehearsable.rehearsal_needs`."""
+    if isinstance(parsed, MoveToArguments):
+        return frozenset()
+    if isinstance(parsed, RunTask):
+        return frozenset({"scene"})
+    return cast("Rehearsable", tool.handler).rehearsal_needs
 
 
 def _png(image: NDArray[np.uint8]) -> Picture:

@@ -24,6 +24,7 @@ from roboneuron import (
     StateError,
     matrix_from_quaternion,
 )
+from roboneuron.server.rehearsal import Rehearsal
 from roboneuron.sight.looker import looker_of, seen_target
 from roboneuron.sight.marks import name_of
 from roboneuron.tools.arm.absolute import go_to, wanted_rotation
@@ -93,8 +94,19 @@ class MovedTo(Result):
 class JudgesPath(Protocol):
     """A handler of move_joints that judges several of its calls before the first."""
 
-    def check_path(self, steps: Sequence[Mapping[str, float]], context: CallContext) -> None:
-        """Raise RefusedError for positions that one of these calls may not reach; blocks."""
+    def check_path(
+        self,
+        steps: Sequence[Mapping[str, float]],
+        context: CallContext,
+        rehearsal: Rehearsal | None = None,
+    ) -> None:
+        """Raise RefusedError for positions that one of these calls may not reach; blocks.
+
+        Args:
+            steps: positions by joint, of each call.
+            context: of the call.
+            rehearsal: where the arm stands; None for the robot.
+        """
 
 
 class Mover:

@@ -18,9 +18,6 @@ from roboneuron.gate.motion.acceleration import Speeds, shortest_s
 from roboneuron.gate.motion.driver_limits import MOST_POINTS
 from roboneuron.gate.motion.path_limits import Leg
 
-__all__ = ["check_joints"]
-"""Names that other distributions may use."""
-
 _HALF_TURN = math.pi * (1.0 + 1e-6)
 _SAME = 1e-3
 """Tolerance of a first point at time 0, which may only repeat the present position: a milliradian

@@ -22,7 +22,7 @@ from roboneuron.gate.motion import task_space
 from roboneuron.gate.motion.path import Reach, postures
 from roboneuron.gate.motion.rules import MotionRules
 
-__all__ = ["Leg", "PathLimiter"]
+__all__ = ["Leg"]
 """Names that other distributions may use."""
 
 MAX_POSTURES = 20_000

@@ -12,9 +12,6 @@ from roboneuron.errors import InvalidInputError
 from roboneuron.server.tool import Arguments, Result
 from roboneuron.tools.arm.ee_line import F64, Order, difference, remaining, rounded
 
-__all__ = ["MoveEndEffector"]
-"""Names that other distributions may use."""
-
 AXES = ("dx_m", "dy_m", "dz_m", "rx_rad", "ry_rad", "rz_rad")
 """Fields of a move, in the order of its six numbers."""
 _FURTHEST_M, _FURTHEST_RAD = 0.5, 1.6

@@ -19,6 +19,7 @@ from roboneuron.errors import InvalidInputError, RefusedError, RoboNeuronError, 
 from roboneuron.server.clock import MotionTiming
 from roboneuron.server.host import Host
 from roboneuron.server.motion_gate import ExposedEndpoint, GateRequest, TimedCommand
+from roboneuron.server.rehearsal import DrivenArm, Needs, Rehearsal
 from roboneuron.server.tool import CallContext
 from roboneuron.supervisor.changes import Stage
 from roboneuron.tools.arm.arm_rows import ArmRows, Rest, to_message
@@ -34,7 +35,7 @@ from roboneuron.tools.arm.grip import Grip, is_lost
 from roboneuron.tools.arm.measured import MeasuredPose
 from roboneuron.tools.arm.motion_meter import joint_margin
 from roboneuron.tools.arm.options import ArmToolsOptions, fastest
-from roboneuron.tools.arm.prediction import DrivenArm, PredictedArm, control_of
+from roboneuron.tools.arm.prediction import ArmControl, PredictedArm
 
 __all__ = ["EndEffectorMover"]
 """Names that other distributions may use."""
@@ -60,15 +61,10 @@ class _Line:
     kept: float | None = None
 
 
-@dataclass(kw_only=True, slots=True)
-class _Forecast:
-    """Prediction of a simulated call: the duration of the move."""
-
-    took_s: float
-
-
 class EndEffectorMover:
-    """The handler of move_ee for one arm."""
+    """The handler of move_ee for one arm; follows `Rehearsable`."""
+
+    rehearsal_needs: Needs = frozenset({"control"})
 
     def __init__(
         self,
@@ -142,7 +138,7 @@ class EndEffectorMover:
     @property
     def fastest(self) -> tuple[float, float]:
         """Fastest translation [m/s] and rotation [rad/s] in force."""
-        return self._speeds()
+        return fastest(self._options, self._host.loop.limits)
 
     def predicted(self) -> PredictedArm:
         """The arm from where it is measured, to be driven by the caller, who closes it.
@@ -155,7 +151,7 @@ class EndEffectorMover:
             raise RefusedError(
                 "The joints are not measured, so that the path cannot be judged.", rule="kinematics"
             )
-        return PredictedArm(*control_of(self._host, self._exposed), joints)
+        return PredictedArm(ArmControl.of(self._host, self._exposed), joints)
 
     def pose_of(self, arm: DrivenArm) -> Pose:
         """TCP of this arm among those of a driven robot."""
@@ -171,7 +167,7 @@ class EndEffectorMover:
             raise InvalidInputError(
                 "The call asks for no move.", hint="Give one of the deltas, or gripper_open."
             )
-        speed_m_s, turn_rad_s = self._speeds()
+        speed_m_s, turn_rad_s = self.fastest
         distance_m, turn_rad = float(np.linalg.norm(values[:3])), float(np.linalg.norm(values[3:]))
         shortest_s = max(distance_m / speed_m_s, turn_rad / turn_rad_s, STEP_S)
         asked_s = arguments.duration_s
@@ -190,10 +186,6 @@ class EndEffectorMover:
             duration_s=asked_s or shortest_s,
             keeps_rotation=bool(values[3:].any()) or self._turns_freely,
         )
-
-    def _speeds(self) -> tuple[float, float]:
-        """See `fastest`."""
-        return fastest(self._options, self._host.loop.limits)
 
     def _rows(self, poses: Mapping[str, Pose]) -> ArmRows:
         """Create the rows of a motion that begins now.
@@ -267,10 +259,17 @@ class EndEffectorMover:
     def _judge(self, order: Order, request: GateRequest) -> EndEffectorMove:
         """Answer a simulated call: predicted TCP, duration, and reasons for a refusal."""
         reason = self._why_not()
-        forecast = _Forecast(took_s=order.duration_s)
-        request = replace(
-            request, predict=None if reason else lambda: self._predict(order, forecast)
-        )
+        took_s = order.duration_s
+
+        def predict() -> None:
+            """Raise RefusedError unless control would complete the move."""
+            nonlocal took_s
+            took_s = 0.0
+            with closing(self.predicted()) as arm:
+                for _ in self.drive(order, arm):
+                    took_s += STEP_S
+
+        request = replace(request, predict=None if reason else predict)
         verdict = self._gate.check(request)
         is_latched = verdict.rule == "emergency_stop"
         answer = ee_answer(
@@ -278,7 +277,7 @@ class EndEffectorMover:
             self._arm,
             order,
             0,
-            forecast.took_s,
+            took_s,
             self._known_pose(),
             None,
             allowed=verdict.allowed and not reason,
@@ -327,15 +326,6 @@ class EndEffectorMover:
             message = to_message(rows.space, rows.row(here, delta, gripper))
             yield from pace.play(message)
 
-    def _predict(self, order: Order, forecast: _Forecast) -> None:
-        """Raise RefusedError unless control would complete the move; its path is that of
-        `_actions`.
-        """
-        with closing(self.predicted()) as arm:
-            forecast.took_s = 0.0
-            for _ in self.drive(order, arm):
-                forecast.took_s += STEP_S
-
     def drive(self, order: Order, arm: DrivenArm) -> Iterator[None]:
         """Have another arm than the robot's make the move, action by action, as control would; ends
         when it is there.
@@ -363,6 +353,12 @@ class EndEffectorMover:
         except StateError as error:
             raise RefusedError(error.message, rule="path") from error
 
+    def rehearse(self, arguments: MoveEndEffector, rehearsal: Rehearsal) -> None:
+        """See `Rehearsable`."""
+        for _ in self.drive(self.order(arguments), rehearsal.arm):
+            pass
+        rehearsal.arm.settle()
+
     def _steps(
         self,
         order: Order,
@@ -374,7 +370,7 @@ class EndEffectorMover:
         """Call `steps_to_end` with the speeds in force."""
         longest_s = self._gate.max_duration_s
         return steps_to_end(
-            order, start, pose, elapsed_s, note, speeds=self._speeds(), longest_s=longest_s
+            order, start, pose, elapsed_s, note, speeds=self.fastest, longest_s=longest_s
         )
 
     def _note(self) -> str:

@@ -6,14 +6,14 @@ from __future__ import annotations
 
 import time
 
-from roboneuron.contract import GripperProfile, RobotProfile
+from roboneuron.contract import GripperProfile, JointSample, RobotProfile
 from roboneuron.errors import NotReadyError, RefusedError
 from roboneuron.modules.report import Report
 from roboneuron.server.host import Host
 from roboneuron.server.motion_gate import ExposedEndpoint, MotionGate
 from roboneuron.tools.arm.grip_reports import commanded_opening
 
-__all__ = ["Grip", "check_gripper", "is_blocked"]
+__all__ = ["Grip", "check_gripper"]
 """Names that other distributions may use."""
 
 _MEASURED_S = 2.0
@@ -127,6 +127,11 @@ class Grip:
             if now_s - began_s > _SETTLE_S:
                 return None
             time.sleep(_POLL_S)
+
+    def would_hold(self, joints: JointSample, commanded: float) -> bool:
+        """True if the fingers of a twin with these joints are kept from a commanded opening."""
+        opening = None if self.profile is None else self.profile.opening_in(joints)
+        return opening is not None and is_blocked(opening, commanded)
 
     def _detail(self, name: str) -> str:
         """A fact of the driver on this arm; empty if it reports none."""

@@ -1,13 +1,18 @@
-"""Goals of joints: their range, turns, and time, and the trajectory there."""
+"""Arguments and result of move_joints; goals of joints: their range, turns, and time, and the
+trajectory there.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
 
+from pydantic import Field
+
 from roboneuron.contract import JointSample
 from roboneuron.gate.motion import joint_space
 from roboneuron.gate.motion.acceleration import shortest_s
+from roboneuron.server.tool import Arguments, Result
 from roboneuron.tools.arm.joint_rest import position_of
 
 Limits = Mapping[str, joint_space.JointLimit]
@@ -15,6 +20,38 @@ _EASY, _EASY_ACCELERATION = 0.4, 0.5
 """Fractions of the velocity and acceleration limits used by a move without a given duration."""
 _NEARLY = 0.95
 """Fraction of a joint's permitted velocity this close to its limit."""
+
+
+class MoveJoints(Arguments):
+    """Arguments of move_joints."""
+
+    positions: dict[str, float] = Field(
+        min_length=1, description="Target by joint, rad or m; other joints stay in place."
+    )
+    duration_s: float | None = Field(
+        default=None, gt=0, description="Duration [s]; at a moderate speed if omitted."
+    )
+
+
+class JointMove(Result):
+    """Measured motion of the arm."""
+
+    robot: str
+    position: dict[str, float] = Field(description="measured at the end [rad or m]")
+    error: float = Field(description="largest distance from the target [rad or m]")
+    duration_s: float
+    simulated: bool
+    allowed: bool
+    reason: str
+    holding: bool | None = Field(
+        default=None, description="the hand holds something; null: unknown"
+    )
+    lost_on_the_way: bool = False
+    hands: dict[str, bool | None] = Field(
+        default_factory=dict,
+        description="of several arms that were moved, by name: the hand holds something; "
+        "`holding`: one of them does",
+    )
 
 
 def schema_of(limit: joint_space.JointLimit) -> dict[str, object]:

@@ -11,7 +11,6 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from pydantic import Field
 from pydantic.json_schema import JsonSchemaValue
 
 from roboneuron.contract import JointSample
@@ -23,15 +22,20 @@ from roboneuron.gate.motion import joint_space
 from roboneuron.gate.motion.path_watch import SILENCE_S
 from roboneuron.server.host import Host
 from roboneuron.server.motion_gate import ExposedEndpoint, GateRequest, MotionGate, TimedCommand
-from roboneuron.server.tool import Arguments, CallContext, Result, Tool
+from roboneuron.server.rehearsal import Needs, Rehearsal
+from roboneuron.server.tool import CallContext, Tool
 from roboneuron.supervisor.changes import Stage
 from roboneuron.tools.arm.grip import Grip, is_lost
-from roboneuron.tools.arm.joint_goals import easy_s, nearest_goals, schema_of, trajectory_to
+from roboneuron.tools.arm.joint_goals import (
+    JointMove,
+    MoveJoints,
+    easy_s,
+    nearest_goals,
+    schema_of,
+    trajectory_to,
+)
 from roboneuron.tools.arm.joint_rest import JointRest, position_of
 from roboneuron.tools.arm.progress import MotionProgress
-
-__all__ = ["JointMover", "MoveJoints"]
-"""Names that other distributions may use."""
 
 _EASIER = 1.04
 """Reserve under a limit that a move without a given duration would exceed: an arm is measured a
@@ -41,38 +45,6 @@ _LOOK_S, _SETTLE_S = 0.02, 3.0
 """Period of the measurements of a motion, and how long after its duration it may come no nearer."""
 _MEASURED_S = 2.0
 """Longest wait for a measurement, and for the robot's subscription."""
-
-
-class MoveJoints(Arguments):
-    """Arguments of move_joints."""
-
-    positions: dict[str, float] = Field(
-        min_length=1, description="Target by joint, rad or m; other joints stay in place."
-    )
-    duration_s: float | None = Field(
-        default=None, gt=0, description="Duration [s]; at a moderate speed if omitted."
-    )
-
-
-class JointMove(Result):
-    """Measured motion of the arm."""
-
-    robot: str
-    position: dict[str, float] = Field(description="measured at the end [rad or m]")
-    error: float = Field(description="largest distance from the target [rad or m]")
-    duration_s: float
-    simulated: bool
-    allowed: bool
-    reason: str
-    holding: bool | None = Field(
-        default=None, description="the hand holds something; null: unknown"
-    )
-    lost_on_the_way: bool = False
-    hands: dict[str, bool | None] = Field(
-        default_factory=dict,
-        description="of several arms that were moved, by name: the hand holds something; "
-        "`holding`: one of them does",
-    )
 
 
 def joint_tools(host: Host, endpoints: Iterable[ExposedEndpoint], gate: MotionGate) -> list[Tool]:
@@ -116,7 +88,9 @@ def joint_tools(host: Host, endpoints: Iterable[ExposedEndpoint], gate: MotionGa
 
 
 class JointMover:
-    """The handler of move_joints."""
+    """The handler of move_joints; follows `Rehearsable`."""
+
+    rehearsal_needs: Needs = frozenset()
 
     def __init__(
         self,
@@ -232,9 +206,22 @@ class JointMover:
             )
         return request, duration_s
 
-    def check_path(self, steps: Sequence[Mapping[str, float]], context: CallContext) -> None:
+    def rehearse(self, arguments: MoveJoints, rehearsal: Rehearsal) -> None:
+        """See `Rehearsable`."""
+        self.check(arguments)
+        joints = rehearsal.arm.joints()
+        request, _ = self.request(arguments, joints, rehearsal.context)
+        rehearsal.play(request.messages)
+
+    def check_path(
+        self,
+        steps: Sequence[Mapping[str, float]],
+        context: CallContext,
+        rehearsal: Rehearsal | None = None,
+    ) -> None:
         """Raise RefusedError unless calls with these positions, one after the other from where the
-        arm stands now, would be allowed; blocks, and moves nothing.
+        arm stands now, would be allowed; blocks, and moves nothing. A rehearsal judges from where
+        its arm stands.
 
         Raises:
             InvalidInputError: a joint does not have such a position.
@@ -242,6 +229,10 @@ class JointMover:
         """
         for positions in steps:
             self.check(MoveJoints(positions=dict(positions)))
+        if rehearsal is not None:
+            planned = self.path_request(steps, rehearsal.arm.joints(), context)
+            rehearsal.check(planned.messages)
+            return
         joints = self._gate.joints(self._exposed, _MEASURED_S)
         if joints is None:
             raise self._unmeasured()

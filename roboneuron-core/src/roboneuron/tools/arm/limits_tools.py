@@ -18,7 +18,7 @@ from roboneuron.gate.motion.task_space import TaskSpace
 from roboneuron.gate.roles import Role
 from roboneuron.server.host import Host
 from roboneuron.server.tool import Arguments, CallContext, NoArguments, Result, Tool
-from roboneuron.tools.arm.prediction import control_of
+from roboneuron.tools.arm.prediction import ArmControl
 from roboneuron.tools.arm.tightening import Tightening
 
 _TCP_ONLY = "For the TCP alone, the point between the fingertips (hand and arm may reach beyond): "
@@ -204,9 +204,8 @@ def sticking_out(host: Host, limits: LimitsConfig) -> dict[str, dict[str, float]
         postures["home"] = JointSample(names=profile.arm_joints, position=profile.home_rad)
     told: dict[str, dict[str, float]] = {}
     try:
-        controller, _ = control_of(host, exposed)
-        with closing(controller):
-            inspect = inspector_of(controller)
+        with closing(ArmControl.of(host, exposed)) as control:
+            inspect = inspector_of(control.controller)
             for name, joints in postures.items():
                 if joints is not None:
                     told[name] = _beyond(rules, inspect(joints))

@@ -15,6 +15,7 @@ from roboneuron.contract.locator import LocatedObject
 from roboneuron.contract.rotation import matrix_from_quaternion
 from roboneuron.errors import InvalidInputError, RefusedError, RoboNeuronError
 from roboneuron.server.host import Host
+from roboneuron.server.rehearsal import Needs, Rehearsal
 from roboneuron.server.tool import Arguments, CallContext, Tool
 from roboneuron.sight.looker import Looker, looker_of, seen_target
 from roboneuron.sight.marks import CellLook, name_of, seen_names, told_name
@@ -26,11 +27,15 @@ from roboneuron.tools.arm.end_effector import EndEffectorMover
 from roboneuron.tools.arm.grasps import Grasp, boxes_of, grasps_of, route_to_grasp
 from roboneuron.tools.arm.grip_height import GripHeight
 from roboneuron.tools.arm.options import HandOptions
-from roboneuron.tools.arm.routes import RobotCarrier, Waypoint, now_ns, rehearse, run_route
+from roboneuron.tools.arm.routes import (
+    RobotCarrier,
+    Waypoint,
+    carry_out_in_twin,
+    now_ns,
+    rehearse,
+    run_route,
+)
 from roboneuron.tools.arm.several_arms import arguments_of, handler_of
-
-__all__ = ["PickArguments", "Picker"]
-"""Names that other distributions may use."""
 
 _NEAR_M = 0.03
 """An object within this distance of a given position is meant by it."""
@@ -63,11 +68,9 @@ class Picked(Surroundings):
 
 
 class Picker:
-    """The handler of pick for one arm; it moves by move_ee.
+    """The handler of pick for one arm; it moves by move_ee. Follows `Rehearsable`."""
 
-    Attributes:
-        mover, grip: of the arm.
-    """
+    rehearsal_needs: Needs = frozenset({"control", "scene"})
 
     def __init__(
         self,
@@ -125,6 +128,12 @@ class Picker:
             max_tcp_speed_m_s=carrier.highest_m_s,
             took_s=round(time.monotonic() - began_s, 3),
         )
+
+    def rehearse(self, arguments: PickArguments, rehearsal: Rehearsal) -> None:
+        """See `Rehearsable`. The first route only: what would be seen after it is not known."""
+        start, looker = self.mover.pose_of(rehearsal.arm), looker_of(self._host)
+        _, _, route = self.plan(arguments, looker, rehearsal.context.who, start)
+        carry_out_in_twin(self.mover, self.grip, rehearsal, route, arguments.speed)
 
     def plan(
         self, arguments: PickArguments, looker: Looker, who: str, start: Pose | None = None

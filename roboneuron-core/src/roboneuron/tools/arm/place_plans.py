@@ -36,9 +36,6 @@ from roboneuron.tools.arm.put_down import (
 )
 from roboneuron.tools.arm.routes import Waypoint, rehearse
 
-__all__ = ["PlaceArguments"]
-"""Names that other distributions may use."""
-
 
 class PlaceArguments(Arguments):
     """Arguments of place."""

@@ -14,6 +14,7 @@ from roboneuron.contract.locator import LocatedObject
 from roboneuron.contract.rotation import matrix_from_quaternion
 from roboneuron.errors import InvalidInputError, RefusedError, RoboNeuronError, StateError
 from roboneuron.server.host import Host
+from roboneuron.server.rehearsal import Needs, Rehearsal
 from roboneuron.server.tool import CallContext, Tool
 from roboneuron.sight.looker import looker_of
 from roboneuron.sight.marks import CellLook, name_of, nearest_like, told_name
@@ -31,11 +32,8 @@ from roboneuron.tools.arm.hand_space import UprightBox, gap_m
 from roboneuron.tools.arm.landing import landed
 from roboneuron.tools.arm.options import HandOptions
 from roboneuron.tools.arm.place_plans import PlaceArguments, PlacePlan, plan_place
-from roboneuron.tools.arm.routes import RobotCarrier, Waypoint, now_ns, run_route
+from roboneuron.tools.arm.routes import RobotCarrier, Waypoint, carry_out_in_twin, now_ns, run_route
 from roboneuron.tools.arm.several_arms import arguments_of, handler_of
-
-__all__ = ["Placer"]
-"""Names that other distributions may use."""
 
 _CLEAR_M = 0.08
 """Height to which the held object is lifted above its place, to clear objects on the table."""
@@ -84,11 +82,11 @@ class PlaceRoute:
 
 
 class Placer:
-    """Moves with move_ee, which keeps the grip, and detects a lost object.
-
-    Attributes:
-        mover, grip: of the arm.
+    """Moves with move_ee, which keeps the grip, and detects a lost object. Follows
+    `Rehearsable`.
     """
+
+    rehearsal_needs: Needs = frozenset({"control", "scene"})
 
     def __init__(
         self,
@@ -146,6 +144,25 @@ class Placer:
             holding=opened.holding,
             took_s=round(time.monotonic() - began_s, 3),
         )
+
+    def rehearse(self, arguments: PlaceArguments, rehearsal: Rehearsal) -> None:
+        """See `Rehearsable`: the twin's hand may lose what it holds as the robot's may."""
+        mover, arm = self.mover, rehearsal.arm
+        self.check_holds()
+        start = mover.pose_of(arm)
+        plan = self.plan(arguments, rehearsal.context.who, start)
+        if plan is not None:
+            carry_out_in_twin(mover, self.grip, rehearsal, plan.route, arguments.speed)
+            return
+        route = self.route(arguments, start)
+        for move in route.carry:
+            mover.rehearse(move, rehearsal)
+            if not self.grip.would_hold(arm.joints(), self.grip.kept()):
+                raise StateError("The hand loses what it holds on the way.")
+        mover.rehearse(route.release, rehearsal)
+        opening = route.release.gripper_open
+        for move in route.leave:
+            mover.rehearse(move.model_copy(update={"gripper_open": opening}), rehearsal)
 
     def plan(
         self, arguments: PlaceArguments, who: str, start: Pose | None = None

@@ -15,6 +15,7 @@ from roboneuron.contract.locator import LocatedObject
 from roboneuron.contract.rotation import matrix_from_quaternion
 from roboneuron.errors import InvalidInputError, RefusedError, StateError
 from roboneuron.server.host import Host
+from roboneuron.server.rehearsal import Needs, Rehearsal
 from roboneuron.server.tool import Arguments, CallContext, Tool
 from roboneuron.sight.looker import Looker, looker_of, seen_target
 from roboneuron.sight.marks import CellLook, name_of, nearest_like, told_name
@@ -30,11 +31,8 @@ from roboneuron.tools.arm.grasps import boxes_of, check_uncovered
 from roboneuron.tools.arm.grip_height import GripHeight
 from roboneuron.tools.arm.hand_space import UprightBox, nearest_obstacle, parts_of_hand
 from roboneuron.tools.arm.options import HandOptions
-from roboneuron.tools.arm.routes import RobotCarrier, Waypoint, now_ns, run_route
+from roboneuron.tools.arm.routes import RobotCarrier, Waypoint, carry_out_in_twin, now_ns, run_route
 from roboneuron.tools.arm.several_arms import arguments_of, handler_of
-
-__all__ = ["PushArguments", "Pusher"]
-"""Names that other distributions may use."""
 
 _BACK_M, _OVER_M = 0.02, 0.05
 """Distance before contact at which the fingers come down; height over all objects of travel."""
@@ -197,11 +195,9 @@ def _check_clear(nearest: tuple[float, str], subject: str) -> None:
 
 
 class Pusher:
-    """The handler of push for one arm; it moves by move_ee.
+    """The handler of push for one arm; it moves by move_ee. Follows `Rehearsable`."""
 
-    Attributes:
-        mover, grip: of the arm.
-    """
+    rehearsal_needs: Needs = frozenset({"control", "scene"})
 
     def __init__(
         self, host: Host, mover: EndEffectorMover, grip: GripHeight, hand: HandOptions
@@ -270,6 +266,12 @@ class Pusher:
             max_tcp_speed_m_s=carrier.highest_m_s,
             took_s=round(time.monotonic() - began_s, 3),
         )
+
+    def rehearse(self, arguments: PushArguments, rehearsal: Rehearsal) -> None:
+        """See `Rehearsable`. The first route only: what would be seen after it is not known."""
+        start, looker = self.mover.pose_of(rehearsal.arm), looker_of(self._host)
+        _, _, route = self.plan(arguments, looker, rehearsal.context.who, start)
+        carry_out_in_twin(self.mover, self.grip, rehearsal, route, 1.0)
 
     def plan(
         self, arguments: PushArguments, looker: Looker, who: str, start: Pose | None = None

@@ -14,14 +14,15 @@ import numpy as np
 from roboneuron.contract import Pose
 from roboneuron.contract.rotation import matrix_from_quaternion
 from roboneuron.errors import RefusedError, RoboNeuronError, StateError
+from roboneuron.server.rehearsal import DrivenArm, Rehearsal
 from roboneuron.server.tool import CallContext
 from roboneuron.tools.arm.absolute import go_to
 from roboneuron.tools.arm.ee_line import F64
 from roboneuron.tools.arm.ee_move import MoveEndEffector
 from roboneuron.tools.arm.end_effector import EndEffectorMover
-from roboneuron.tools.arm.prediction import DrivenArm
+from roboneuron.tools.arm.grip import Grip
 
-__all__ = ["DrivenCarrier", "Waypoint", "run_route"]
+__all__ = ["Waypoint"]
 """Names that other distributions may use."""
 
 
@@ -123,6 +124,27 @@ class DrivenCarrier:
         """See `Carrier`: an ideal hand holds."""
 
 
+class _TwinCarrier(DrivenCarrier):
+    """The arm of a twin, whose hand may close on nothing and which comes to rest after each
+    part.
+    """
+
+    def __init__(self, mover: EndEffectorMover, rehearsal: Rehearsal, grip: Grip) -> None:
+        super().__init__(mover, rehearsal.arm)
+        self._twin_arm, self._grip, self._opening = rehearsal.arm, grip, grip.kept()
+
+    async def move(self, fields: dict[str, float]) -> None:
+        """See `Carrier`. The hand keeps the opening that the route gave it."""
+        self._opening = fields.get("gripper_open", self._opening)
+        await super().move({**fields, "gripper_open": self._opening})
+        self._twin_arm.settle()
+
+    def check_holds(self) -> None:
+        """See `Carrier`."""
+        if not self._grip.would_hold(self._twin_arm.joints(), self._opening):
+            raise StateError("The hand closes on nothing.")
+
+
 async def run_route(
     carrier: Carrier, route: Sequence[Waypoint], speed: float, fastest: tuple[float, float]
 ) -> None:
@@ -165,6 +187,19 @@ def rehearse(mover: EndEffectorMover, route: Sequence[Waypoint], speed: float) -
         carrier = DrivenCarrier(mover, arm)
         asyncio.run(run_route(carrier, route, speed, mover.fastest))
         return carrier.took_s
+
+
+def carry_out_in_twin(
+    mover: EndEffectorMover,
+    grip: Grip,
+    rehearsal: Rehearsal,
+    route: Sequence[Waypoint],
+    speed: float,
+) -> None:
+    """Carry out a route in a twin. Raises as `Rehearsable.rehearse`."""
+    carrier = _TwinCarrier(mover, rehearsal, grip)
+    asyncio.run(run_route(carrier, route, speed, mover.fastest))
+    rehearsal.arm.settle()
 
 
 def _parts(pose: Pose) -> tuple[F64, F64]:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable, Collection, Mapping
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, TypeVar, cast
 
 from pydantic.json_schema import JsonSchemaValue
 
 from roboneuron.direct_path.derived import Derived
 from roboneuron.errors import InvalidInputError
+from roboneuron.server.rehearsal import Needs, Rehearsable, Rehearsal
 from roboneuron.server.tool import Arguments, CallContext, Reply, Result
 
 __all__ = ["OfArm"]
@@ -33,6 +34,15 @@ class OfArm(Generic[H]):
     async def __call__(self, arguments: Any, context: CallContext) -> Result | Reply:
         """Raises as the handler; InvalidInputError also for an unknown arm."""
         return await self.of(arguments.arm)(arguments, context)
+
+    @property
+    def rehearsal_needs(self) -> Needs:
+        """See `Rehearsable`; the same for each arm."""
+        return cast("Rehearsable", next(iter(self._handlers.values()))).rehearsal_needs
+
+    def rehearse(self, arguments: Any, rehearsal: Rehearsal) -> None:
+        """See `Rehearsable`."""
+        cast("Rehearsable", self.of(arguments.arm)).rehearse(arguments, rehearsal)
 
 
 def of_named_arm(by_arm: Mapping[str, T], arm: str) -> T:

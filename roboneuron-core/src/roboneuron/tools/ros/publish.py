@@ -12,8 +12,9 @@ from functools import partial
 from pydantic import Field
 
 from roboneuron.direct_path.exposed import gate_request
-from roboneuron.errors import InvalidInputError
+from roboneuron.errors import InvalidInputError, NotReadyError
 from roboneuron.server.motion_gate import ExposedEndpoint, MotionGate, Sent
+from roboneuron.server.rehearsal import Needs, Rehearsal
 from roboneuron.server.tool import CallContext, Result
 from roboneuron.tools.ros.calls import (
     Judged,
@@ -26,9 +27,6 @@ from roboneuron.tools.ros.exposed_types import message_of
 from roboneuron.tools.ros.interfaces import MessageInterface
 from roboneuron.tools.ros.steps import MessageStep, publish_steps
 from roboneuron.tools.ros.targets import Targets
-
-__all__ = ["Publish", "Publishing", "encode_step"]
-"""Names that other distributions may use."""
 
 
 class ClampedValue(Result):
@@ -64,17 +62,15 @@ class Publish(PublishingCall):
 
 
 class Publishing:
-    """The handler of one publish tool.
+    """The handler of one publish tool. For trajectories it follows `Rehearsable`."""
 
-    Attributes:
-        endpoints: the endpoint and the interface of its topic, by the argument `robot`.
-    """
+    rehearsal_needs: Needs = frozenset()
 
     def __init__(self, gate: MotionGate, targets: Targets, tool: str) -> None:
         self._gate = gate
         self._targets = targets
         is_only = len(targets.endpoints) == 1  # the call names no robot then
-        self.endpoints = {
+        self._endpoints = {
             "" if is_only else exposed.robot: (exposed, message_of(exposed))
             for exposed in targets.endpoints
         }
@@ -82,7 +78,7 @@ class Publishing:
 
     async def __call__(self, arguments: Publish, context: CallContext) -> Delivery:
         """Raises InvalidInputError, RefusedError, NotReadyError, StateError, ConfigurationError."""
-        exposed, interface = self.endpoints[arguments.robot]
+        exposed, interface = self._endpoints[arguments.robot]
         step = encode_step(
             interface,
             arguments.message,
@@ -121,6 +117,13 @@ class Publishing:
         )
         sent = await context.run(work, on_cancel=halt.set, on_leave=halt.set)
         return to_delivery(exposed, sent, step.duration_s)
+
+    def rehearse(self, arguments: Publish, rehearsal: Rehearsal) -> None:
+        """See `Rehearsable`."""
+        exposed, interface = self._endpoints[arguments.robot]
+        if exposed.namespace != rehearsal.namespace:
+            raise NotReadyError("Only trajectories of this server's own arm can be simulated.")
+        rehearsal.play([encode_step(interface, arguments.message, 0.0).message])
 
 
 def encode_step(
