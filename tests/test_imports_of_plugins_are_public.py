@@ -30,6 +30,8 @@ NEEDS = {
 """Packages of rn_standard by the other ones that they may import."""
 PUBLISHED = {
     "console": "chosen_plugins client diagnostics plugin_options status",
+    "declared_arm": "arm_draft real_drivers urdf_guesses urdf_home urdf_joints urdf_limits "
+    "urdf_tree",
     "http": "addresses authentication bounded_server connections feature listener operator_lease "
     "options origins plugin tokens",
     "ops": "maintenance",

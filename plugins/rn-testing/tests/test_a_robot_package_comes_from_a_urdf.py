@@ -13,9 +13,9 @@ from pathlib import Path
 import pytest
 from urdf_samples import ARM, BALL, FINGERS, LIMIT, joint, link, robot, write, write_box_mesh
 
-from rn_testing.new_arm import ArmDraft, draft_arm
+from rn_standard.declared_arm.arm_draft import ArmDraft, draft_arm
+from rn_standard.declared_arm.urdf_guesses import Chosen
 from rn_testing.robot_judge import JudgedRobot
-from rn_testing.urdf_guesses import Chosen
 from roboneuron import ConfigurationError, RobotProfile
 from roboneuron.cli.main import main
 

@@ -60,7 +60,7 @@ def build_backend(
     from roboneuron.modules.inference.agreement import agree_on_space
     from roboneuron.modules.inference.planning import find_policy
 
-    registry = discover(settings.disabled_plugins)
+    registry = discover(settings.disabled_plugins, settings.robot)
     policy = find_policy(
         registry,
         robot=robot,

@@ -10,8 +10,10 @@ from importlib.resources.abc import Traversable
 from pathlib import Path
 from string import Template
 
-from rn_testing.new_arm import DRIVERS, ArmDraft, draft_arm
-from rn_testing.urdf_guesses import NO_GRIPPER, Chosen
+from rn_standard.declared_arm.arm_draft import ArmDraft, draft_arm
+from rn_standard.declared_arm.real_drivers import REAL_DRIVERS
+from rn_standard.declared_arm.urdf_guesses import NO_GRIPPER, Chosen
+from rn_testing.new_arm import words_of
 from roboneuron import ConfigurationError
 from roboneuron.command import PLUGIN_KINDS, descriptor
 
@@ -49,7 +51,8 @@ class New:
         distribution = f"rn-{PREFIXES[kind]}-{name}"
         directory = arguments.directory or Path(distribution)
         arm = _read_arm(arguments, directory)
-        written = write_package(kind, name, directory, arm)
+        driver = None if arguments.driver == "none" else arguments.driver
+        written = write_package(kind, name, directory, arm, driver)
         if arm is not None:
             print(*arm.report(), sep="\n")
         print(f"Wrote {len(written)} files of {distribution} to {directory}/. Next:\n")
@@ -67,7 +70,7 @@ def _add_arm_arguments(parser: ArgumentParser) -> None:
     arm.add_argument("--urdf", type=Path, metavar="FILE", help="URDF, or the output of xacro")
     arm.add_argument(
         "--driver",
-        choices=["none", *DRIVERS],
+        choices=["none", *REAL_DRIVERS],
         help="what moves the real arm; none: it is simulated only",
     )
     arm.add_argument("--base", metavar="LINK", help="link in whose frame poses are")
@@ -104,13 +107,19 @@ def _read_arm(arguments: Namespace, directory: Path) -> ArmDraft | None:
             gripper=arguments.gripper,
         ),
         package_paths=arguments.package_path or (),
-        driver=None if arguments.driver == "none" else arguments.driver,
+        driver=arguments.driver or "",
     )
 
 
-def write_package(kind: str, name: str, directory: Path, arm: ArmDraft | None = None) -> list[Path]:
+def write_package(
+    kind: str,
+    name: str,
+    directory: Path,
+    arm: ArmDraft | None = None,
+    driver: str | None = None,
+) -> list[Path]:
     """Write a plugin package and return the paths of its files; a robot of a description if `arm`
-    is given.
+    is given, with a driver of `REAL_DRIVERS` or None.
 
     Raises:
         ConfigurationError: the name is malformed, the directory is not empty, or a mesh cannot be
@@ -129,7 +138,7 @@ def write_package(kind: str, name: str, directory: Path, arm: ArmDraft | None = 
     folders = ["common", kind]
     if arm is not None:
         needed.append("rn-simulation")
-        words |= arm.words(name)
+        words |= words_of(arm, name, driver)
         folders[1] = "arm"
     words["dependencies"] = ", ".join(f'"{other}>=0.1,<0.2"' for other in needed)
     templates = files("rn_testing") / "templates"

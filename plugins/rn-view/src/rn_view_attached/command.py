@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import sys
 from argparse import ArgumentParser, Namespace
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -78,7 +79,8 @@ class ViewCommand:
         admission = ViewAccess(
             tokens=TokenFiles(http.tokens, os.environ), rules=host_rules(options, http)
         )
-        source, graph = _sources(arguments, robots, discover(config.disabled_plugins))
+        known = {name: discover(one.disabled_plugins, one.robot) for name, one in robots.items()}
+        source, graph = _sources(arguments, robots, known)
         viewer = ViewServer(options, source, admission, None)
         signal.signal(signal.SIGTERM, signal.default_int_handler)
         try:
@@ -117,18 +119,23 @@ def _chosen(config: Config, robot: str | None) -> dict[str, Config]:
 
 
 def _sources(
-    arguments: Namespace, robots: dict[str, Config], registry: Registry
+    arguments: Namespace, robots: dict[str, Config], known: Mapping[str, Registry]
 ) -> tuple[dict[str, AttachedSource] | RecordedSource, ViewNode | RecordedSource]:
-    """Sources of the pages, and the object to open before them and close after them."""
+    """Sources of the pages, and the object to open before them and close after them.
+
+    Args:
+        arguments: of the command.
+        robots: configurations by name.
+        known: the plugins of each.
+    """
     config = next(iter(robots.values()))
     if arguments.run is not None:
         if len(robots) > 1:
-            known = ", ".join(robots)
             raise ConfigurationError(
                 "A recording holds one robot, but the configuration has several.",
-                hint=f"--robot names one of: {known}.",
+                hint=f"--robot names one of: {', '.join(robots)}.",
             )
-        recorded = _recorded(arguments, config, registry)
+        recorded = _recorded(arguments, config, next(iter(known.values())))
         return recorded, recorded
     if arguments.directory is not None:
         raise ConfigurationError(
@@ -143,10 +150,10 @@ def _sources(
     )
     graph = ViewNode(directory)
     if "" in robots:
-        return {"": AttachedSource(config, registry, directory, graph)}, graph
+        return {"": AttachedSource(config, known[""], directory, graph)}, graph
     return {
         name: AttachedSource(
-            one, registry, reading.robot_folder(directory, name), graph, is_one_of_several=True
+            one, known[name], reading.robot_folder(directory, name), graph, is_one_of_several=True
         )
         for name, one in robots.items()
     }, graph

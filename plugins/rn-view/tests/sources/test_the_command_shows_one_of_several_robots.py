@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from argparse import Namespace
+from collections.abc import Iterable
 
 import pytest
 
@@ -12,6 +13,7 @@ from rn_view_attached.command import _chosen, _sources
 from roboneuron import ConfigurationError
 from roboneuron.config import parse_config
 from roboneuron.estop import ESTOP_FILE
+from roboneuron.plugins.registry import Registry
 
 TWO = (
     '[robots.left]\nrobot = {name = "gantry", namespace = "hall_2/a"}\n[robots.right]\nrobot = '
@@ -38,9 +40,13 @@ def test_the_only_robot_of_a_server_needs_no_name() -> None:
     assert {name: config.namespace for name, config in chosen.items()} == {"": "gantry"}
 
 
+def plugins_of(robots: Iterable[str]) -> dict[str, Registry]:
+    return dict.fromkeys(robots, fake_registry(FLEET))
+
+
 def test_each_stop_is_that_of_its_robot(tmp_path) -> None:
     robots = _chosen(parse_config(TWO, registry=fake_registry(FLEET)), None)
-    sources, graph = _sources(Namespace(state=tmp_path, **LIVE), robots, fake_registry(FLEET))
+    sources, graph = _sources(Namespace(state=tmp_path, **LIVE), robots, plugins_of(robots))
     sources["right"].press_stop("a visitor")
     assert (tmp_path / "robots" / "right" / ESTOP_FILE).exists()
     assert [source.snapshot().is_latched for source in sources.values()] == [False, True]
@@ -65,4 +71,4 @@ def test_a_name_that_fits_nothing_is_refused_with_the_choices(
 def test_a_recording_is_of_one_robot() -> None:
     robots = _chosen(parse_config(TWO, registry=fake_registry(FLEET)), None)
     with pytest.raises(ConfigurationError, match="--robot names one of: left, right"):
-        _sources(Namespace(run="latest", directory=None, state=None), robots, fake_registry(FLEET))
+        _sources(Namespace(run="latest", directory=None, state=None), robots, plugins_of(robots))

@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from roboneuron.config.arms import ArmConfig
 from roboneuron.config.cameras import CameraConfig
 from roboneuron.config.section import CameraName as CameraName
 from roboneuron.config.section import Name as Name
@@ -42,7 +43,7 @@ class ModuleSection(Section):
 class RobotConfig(ModuleSection):
     """`[robot]`: the robot and its driver."""
 
-    name: Name = Field(description="a robot offered by an installed plugin")
+    name: Name = Field(description="a robot of an installed plugin, or a name for [robot.arm]")
     driver: Name = Field(default="simulated", description="one of the robot's drivers")
     namespace: Namespace | None = Field(
         default=None, description="ROS namespace; the robot's name when not given"
@@ -58,9 +59,9 @@ class RobotConfig(ModuleSection):
     )
     cameras: dict[CameraName, CameraConfig] = Field(
         default_factory=dict,
-        description="measured calibration of a camera, instead of that of the robot's profile; "
-        "`roboneuron cameras calibrate` writes it",
+        description="measured calibration of a camera, by `roboneuron cameras calibrate`",
     )
+    arm: ArmConfig | None = Field(default=None, description="an arm that no plugin offers")
 
 
 class PerceptionConfig(ModuleSection):

@@ -173,7 +173,18 @@ def load_config(
     """
     text = default_text() if path is None else _read_text(path)
     source = EMBEDDED_DEFAULT if path is None else str(path)
-    return parse_config(text, source=source, registry=registry, arguments=arguments)
+    config = parse_config(text, source=source, registry=registry, arguments=arguments)
+    return config if path is None else _beside(config, path.absolute().parent)
+
+
+def _beside(config: Config, folder: Path) -> Config:
+    """The configuration with the relative paths of declared arms in the folder of its file."""
+    robots = {name: _beside(one, folder) for name, one in config.robots.items()}
+    if config.robot.arm is None and not robots:
+        return config
+    arm = None if config.robot.arm is None else config.robot.arm.beside(folder)
+    robot = config.robot.model_copy(update={"arm": arm})
+    return config.model_copy(update={"robot": robot, "robots": robots})
 
 
 def read_state_directory(path: Path) -> str | None:

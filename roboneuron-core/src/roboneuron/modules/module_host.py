@@ -259,7 +259,7 @@ class Module(ABC):
         self.config = node.settings.config
         self.status = node.status
         self.filters = StepFilters(node.filters)
-        self.registry = discover(self.config.disabled_plugins)
+        self.registry = discover(self.config.disabled_plugins, self.config.robot)
 
     @abstractmethod
     def activate(self) -> None:

@@ -40,12 +40,15 @@ def load_profile(registry: Registry, robot: RobotConfig | str) -> RobotProfile:
             robot's name, for its profile as the plugin has it.
 
     Raises:
-        ConfigurationError: no installed plugin offers it, or the section calibrates a camera that
-            it lacks, on an arm that it lacks, or without intrinsics.
+        ConfigurationError: neither an installed plugin nor the configuration has it, what the
+            configuration declares is refused, or the section calibrates a camera that it lacks, on
+            an arm that it lacks, or without intrinsics.
         PluginError: its target returns another type.
     """
     name = robot if isinstance(robot, str) else robot.name
-    profile = cast("Callable[[], object]", load_target(registry.get(RobotSpec, name)))()
+    spec = registry.get(RobotSpec, name)
+    arguments = () if spec.declaration is None else (spec.declaration,)
+    profile = cast("Callable[..., object]", load_target(spec))(*arguments)
     if not isinstance(profile, RobotProfile):
         raise PluginError(
             f"The target of robot {name!r} returned {type(profile).__name__}, expected "

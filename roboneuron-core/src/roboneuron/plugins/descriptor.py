@@ -30,6 +30,7 @@ REFERENCES = (
     "case",
     "brings",
     "on_discovery",
+    "declared_robot",
     "on_join",
     "module",
     "module_plan",

@@ -11,12 +11,13 @@ import re
 import sys
 import traceback
 from collections import defaultdict
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import redirect_stdout
 from dataclasses import replace
 from functools import lru_cache
 from importlib.metadata import Distribution, EntryPoint, entry_points
 from types import ModuleType
+from typing import Protocol, cast
 
 from roboneuron.errors import ConfigurationError, PluginError, RoboNeuronError, nearest
 from roboneuron.plugins import availability
@@ -24,8 +25,16 @@ from roboneuron.plugins.descriptor import check_spec
 from roboneuron.plugins.hookspecs import HOOKS, PROJECT, extended
 from roboneuron.plugins.loading import load_attribute
 from roboneuron.plugins.registry import Offer, PluginRecord, Registry, Status
-from roboneuron.plugins.specs import CONTRACT_VERSION, CommandSpec, FeatureSpec, Spec
+from roboneuron.plugins.specs import (
+    CONTRACT_VERSION,
+    CommandSpec,
+    FeatureSpec,
+    RobotSpec,
+    Spec,
+)
 
+_DECLARED = "declared-arm"
+"""Feature to install when a configuration declares an arm and none describes it."""
 _HOOK_PREFIX = f"{PROJECT}_"
 _BRINGING = {hook: spec for hook, spec in HOOKS.items() if spec in (FeatureSpec, CommandSpec)}
 """Hooks whose descriptors may define other kinds."""
@@ -37,18 +46,52 @@ module.
 """
 
 
-def discover(disabled: Collection[str] = ()) -> Registry:
+class RobotDeclaration(Protocol):
+    """`[robot]` of a configuration."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def arm(self) -> object | None: ...
+
+
+def discover(disabled: Collection[str] = (), robot: RobotDeclaration | None = None) -> Registry:
     """Read all installed plugins, importing only their plugin modules.
 
     Args:
         disabled: names of plugins that must not be imported; a distribution's name stands for all
             of its plugins.
+        robot: section of the configuration; if it declares an arm, that is among the robots.
 
     Raises:
         ConfigurationError: `disabled` names neither an installed plugin nor a distribution with
-            plugins.
+            plugins; no feature describes the arm, or an installed robot has its name.
     """
-    return _discover_in(_search_path(), tuple(disabled))
+    registry = _discover_in(_search_path(), tuple(disabled))
+    return registry if robot is None or robot.arm is None else _with_declared(registry, robot)
+
+
+def _with_declared(registry: Registry, robot: RobotDeclaration) -> Registry:
+    """The plugins, and the robot that a configuration declares, as an offer of the feature that
+    describes it.
+    """
+    offered = next((o for o in registry.offers("robot") if o.spec.name == robot.name), None)
+    if offered is not None:
+        raise ConfigurationError(
+            f"[robot.arm] declares {robot.name!r}, which {offered.plugin} offers as well.",
+            hint="Give it another name, or leave [robot.arm] out.",
+        )
+    features = registry.specs(FeatureSpec)
+    maker = next((name for name, feature in features.items() if feature.declared_robot), _DECLARED)
+    feature = registry.get(FeatureSpec, maker)
+    describe = load_attribute(
+        feature.declared_robot or "", f"`declared_robot` of feature {maker!r}"
+    )
+    spec = check_spec(cast("Callable[[object], object]", describe)(robot), RobotSpec)
+    by = next(offer for offer in registry.offers("feature") if offer.spec is feature)
+    mine = replace(by, spec=replace(cast("RobotSpec", spec), declaration=robot))
+    return replace(registry, all_offers=(*registry.all_offers, mine))
 
 
 @lru_cache(maxsize=1)

@@ -8,7 +8,7 @@ model class whose fields are the options under `[plugins.<name>]`, or None witho
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 CONTRACT_VERSION = 1
@@ -268,14 +268,14 @@ class DriverSpec(Loadable):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RobotSpec(Spec):
-    """A robot model; `target` is a function without arguments that returns its `RobotProfile`.
+    """A robot model; `target` returns its `RobotProfile`, called with `declaration` if it has one.
 
     Attributes:
         robot_kind: "arm" or "base".
         drivers: at least one.
         cameras: cameras of the robot.
-        action_widths: widths of model action spaces it can execute (7 for one arm and gripper);
-            empty for bases.
+        action_widths: widths of the model action spaces that it executes; empty for bases.
+        declaration: `[robot]` that declares it, see `FeatureSpec.declared_robot`; none in hooks.
     """
 
     kind: ClassVar[str] = "robot"
@@ -284,6 +284,7 @@ class RobotSpec(Spec):
     drivers: tuple[DriverSpec, ...] = ()
     cameras: tuple[CameraSpec, ...] = ()
     action_widths: tuple[int, ...] = (7,)
+    declaration: object | None = field(default=None, hash=False)
 
     def driver(self, name: str) -> DriverSpec | None:
         """The driver of that name, or None."""
@@ -314,11 +315,11 @@ class FeatureSpec(Spec):
         module_plan: "module:attribute" of a light function that plans such a module: called with
             Config and Registry, returns its `roboneuron.feature.Plan` or raises a RoboNeuronError.
         fleet: "module:attribute" of a function that serves a configuration with several robots:
-            called with the Config and the state directory, returns a
-            `roboneuron.server.surface.Served`; None without one.
+            called with Config and state directory, returns a `roboneuron.server.surface.Served`.
         fleet_config: "module:attribute" of a function that reads a file with several robots, for a
             feature with `fleet`: called with the tables, the file's name for messages and the
             Registry, returns the Config.
+        declared_robot: "module:attribute" of a light function from `[robot]` to its `RobotSpec`.
         switch: name of an option, true or false, of its first section; `roboneuron serve --NAME`,
             NAME being the feature's, sets it to true. None for no such flag.
     """
@@ -335,6 +336,7 @@ class FeatureSpec(Spec):
     module_plan: str | None = None
     fleet: str | None = None
     fleet_config: str | None = None
+    declared_robot: str | None = None
     switch: str | None = None
 
     @property

@@ -100,7 +100,9 @@ class Application:
         )
         self.supervisor.on_change = self.events.change.tell
         self.loop = ClosedLoop(
-            config, plugins or partial(discover, config.disabled_plugins), self.supervisor
+            config,
+            plugins or partial(discover, config.disabled_plugins, config.robot),
+            self.supervisor,
         )
         self.loop.on_stop = self.events.stop.tell
         self.loop.emergency_stop.audit.on_record = self.events.decision.tell

@@ -28,15 +28,15 @@ class ConfigCheck:
 
         config = load_config(arguments.file)
         if not config.robots:
-            check_configuration(config, discover(config.disabled_plugins))
+            check_configuration(config, discover(config.disabled_plugins, config.robot))
         served = make_served(config)  # derives the tools of [[expose]]
         try:
             served.check()
             omitted = served.omitted
         finally:
             served.close()
-        registry = discover(config.disabled_plugins)
         for one in config.robots.values() or (config,):
+            registry = discover(one.disabled_plugins, one.robot)
             if told := UncheckedPaths().why(one, registry):
                 print(f"Note: {told}")
         for reason in omitted:

@@ -123,7 +123,8 @@ def print_short(registry: Registry) -> None:
             ready.setdefault(offer.spec.kind, []).append(spoken(offer.spec.name))
     indent = max((len(kind) for kind in ready), default=0) + 2
     print(_paint("READY", "bold"))
-    for kind, names in ready.items():
+    for kind, every in ready.items():
+        names = _grouped(every)
         shown = names if len(names) <= _MOST_NAMES else names[:_FIRST_NAMES]
         rest = f" and {len(names) - len(shown)} more" if len(shown) < len(names) else ""
         print(_wrapped(f"{kind:<{indent}}{', '.join(shown)}{rest}", indent))
@@ -142,6 +143,15 @@ def print_short(registry: Registry) -> None:
             f"\n{len(registry.plugins)} plugins; details: roboneuron plugins list --verbose", "dim"
         )
     )
+
+
+def _grouped(names: Sequence[str]) -> list[str]:
+    """Commands of one group written once: "config check", "config show" -> "config check|show"."""
+    groups: dict[str, list[str]] = {}
+    for name in names:
+        group, _, action = name.partition(" ")
+        groups.setdefault(group, []).extend([action] if action else [])
+    return [f"{group} {'|'.join(actions)}".rstrip() for group, actions in groups.items()]
 
 
 def print_table(registry: Registry) -> None:

@@ -243,7 +243,7 @@ def _plugins(config: Config) -> Finding:
 def _configuration(config: Config) -> Finding:
     from roboneuron.command import check_configuration  # pydantic and plugins' options, not mcp
 
-    registry = discover(config.disabled_plugins)
+    registry = discover(config.disabled_plugins, config.robot)
     check_configuration(config, registry)
     names = [f"robot {config.robot.name} ({config.robot.driver}{_chosen(config, registry)})"]
     names += [f"perception {config.perception.source}"] if config.perception else []
@@ -255,7 +255,7 @@ def _configuration(config: Config) -> Finding:
 def _distances(config: Config) -> Finding:
     from roboneuron.modules.arm_paths import UncheckedPaths  # numpy
 
-    told = UncheckedPaths().why(config, discover(config.disabled_plugins))
+    told = UncheckedPaths().why(config, discover(config.disabled_plugins, config.robot))
     if not told:
         return ok("They are checked, or the robot has no arm.")
     why, _, how = told.partition(". ")

@@ -8,8 +8,9 @@ import re
 
 import numpy as np
 
+from rn_standard.declared_arm.urdf_joints import MOVABLE
 from rn_testing.cases import RobotCase
-from rn_testing.kinematics import MOVABLE, place_tcp, read_chain, read_joints
+from rn_testing.kinematics import place_tcp, read_chain, read_joints
 from rn_testing.rule import NotApplicable, Rule, Violation, require
 from rn_testing.snapshots import snapshot
 from roboneuron import CameraCalibration, CameraProfile, RobotProfile

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rn_testing.kinematics import MOVABLE
-from rn_testing.urdf_tree import UrdfTree
+from rn_standard.declared_arm.urdf_joints import MOVABLE
+from rn_standard.declared_arm.urdf_tree import UrdfTree
 from roboneuron import ConfigurationError
 
 NO_GRIPPER = "none"

@@ -7,8 +7,8 @@ from itertools import pairwise
 import pytest
 from urdf_samples import ARM, FINGERS, LIMIT, SLIDE, joint, link, robot
 
-from rn_testing.urdf_guesses import ArmParts, Chosen, guess
-from rn_testing.urdf_tree import UrdfTree
+from rn_standard.declared_arm.urdf_guesses import ArmParts, Chosen, guess
+from rn_standard.declared_arm.urdf_tree import UrdfTree
 from roboneuron import ConfigurationError
 
 JOINTS = ("j1", "j2", "j3")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import xml.etree.ElementTree as ElementTree
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
@@ -76,33 +77,60 @@ class Home:
         return min(CollisionProfile().min_distance_m, math.floor(500.0 * here_m) / 1000.0)
 
 
-def find_home(profile: RobotProfile) -> Home:
+def find_home(profile: RobotProfile, given: Sequence[float] = ()) -> Home:
     """The best of many random postures of an arm, the same at each call.
 
     Args:
         profile: of the arm, with limits and without a home posture.
+        given: a posture, by joint [rad or m], that is to be taken; empty: one is searched for.
 
     Raises:
-        ConfigurationError: the controller is not installed or refuses the arm, or no posture is
-            free of contact; names the links.
+        ConfigurationError: the controller is not installed or refuses the arm, no posture is free
+            of contact, or the given one is not or is outside the limits; names the links.
     """
+    wanted = _checked(profile, given) if given else None
     if not _has_shapes(profile):
-        return _unchecked(profile, "its moving links have no collision shapes")
+        return _unchecked(profile, "its moving links have no collision shapes", wanted)
     seen = _look(_comparing(profile, FLOOR))
-    if (home := _best_free(_comparing(profile, FLOOR), seen)) is not None:
+    if (home := _best_free(_comparing(profile, FLOOR), seen, wanted)) is not None:
         return home
     try:
         seen = _look(_comparing(profile))
     except ConfigurationError as error:  # the floor was all that its links could touch
-        return _unchecked(profile, error.message)
-    if (home := _best_free(_comparing(profile), seen)) is not None:
+        return _unchecked(profile, error.message, wanted)
+    if (home := _best_free(_comparing(profile), seen, wanted)) is not None:
         return home
+    if wanted is not None:
+        touching = sorted(_seen(_load(_comparing(profile)), profile, wanted)[2])
+        raise ConfigurationError(
+            f"At the home {list(given)} of {profile.name!r} "
+            f"{', '.join(f'{first} and {second}' for first, second in touching)} touch."
+        )
     often = Counter(pair for _, _, touching in seen for pair in touching).most_common(3)
     raise ConfigurationError(
         f"None of {_POSTURES} postures of {profile.name!r} is free of contact; most often "
         f"{', '.join(f'{first} and {second}' for (first, second), _ in often)} touch.",
         hint="Correct the collision shapes of these links, or leave the shapes of one out.",
     )
+
+
+def _checked(profile: RobotProfile, given: Sequence[float]) -> F64:
+    """The given posture, float64 (n,). Raises ConfigurationError if it does not fit the joints."""
+    limits = profile.limits
+    assert limits is not None
+    position = np.array(given, dtype=np.float64)
+    if len(position) != len(profile.arm_joints):
+        raise ConfigurationError(
+            f"The home of {profile.name!r} has {len(position)} values; its joints are "
+            f"{', '.join(profile.arm_joints)}."
+        )
+    is_outside = (position < limits.lower) | (position > limits.upper)
+    outside = [name for name, out in zip(profile.arm_joints, is_outside, strict=True) if out]
+    if outside:
+        raise ConfigurationError(
+            f"The home of {profile.name!r} is outside the limits of {', '.join(outside)}."
+        )
+    return position
 
 
 def _comparing(profile: RobotProfile, *obstacles: Obstacle) -> RobotProfile:
@@ -130,21 +158,22 @@ def _child(joint: ElementTree.Element) -> str | None:
     return None if child is None else child.get("link")
 
 
-def _unchecked(profile: RobotProfile, why: str) -> Home:
+def _unchecked(profile: RobotProfile, why: str, wanted: F64 | None) -> Home:
     profile = replace(profile, collision=None)
-    return replace(_best(profile, _look(profile), set()), unchecked=why)
+    return replace(_best(profile, _look(profile), set(), wanted), unchecked=why)
 
 
-def _best_free(profile: RobotProfile, seen: list[_Seen]) -> Home | None:
-    """The best posture without contact, but for pairs of links that touch in all; None without
-    one.
+def _best_free(profile: RobotProfile, seen: list[_Seen], wanted: F64 | None) -> Home | None:
+    """The best posture, or the wanted one, without contact, but for pairs of links that touch in
+    all; None without one.
     """
     always = set.intersection(*(touching for _, _, touching in seen))
     obstacles = {body.name for body in profile.collision.obstacles} if profile.collision else set()
     free = [found for found in seen if found[2] <= always]
     if not free or any(obstacles & {*pair} for pair in always):
         return None
-    return _best(profile, free, always)
+    home = _best(profile, free, always, wanted)
+    return None if home.nearest and home.nearest[0].distance_m <= 0.0 else home
 
 
 def _load(profile: RobotProfile) -> PostureInspector:
@@ -183,8 +212,10 @@ def _seen(controller: PostureInspector, profile: RobotProfile, position: F64) ->
     return position, posture, touching
 
 
-def _best(profile: RobotProfile, seen: list[_Seen], always: set[tuple[str, str]]) -> Home:
-    """The best of some postures, improved by one joint at a time."""
+def _best(
+    profile: RobotProfile, seen: list[_Seen], always: set[tuple[str, str]], wanted: F64 | None
+) -> Home:
+    """The best of some postures, improved by one joint at a time, or the wanted one."""
     controller = _load(profile)
 
     def near(posture: Posture) -> list[Proximity]:
@@ -198,8 +229,8 @@ def _best(profile: RobotProfile, seen: list[_Seen], always: set[tuple[str, str]]
         lacking = [1.0 - min(pair.distance_m, _CLEAR_M) / _CLEAR_M for pair in near(posture)]
         return _worth(position, posture) - 2.0 * sum(lacking)
 
-    best = max(seen, key=worth)
-    for _ in range(_ROUNDS):
+    best = _seen(controller, profile, wanted) if wanted is not None else max(seen, key=worth)
+    for _ in range(_ROUNDS if wanted is None else 0):
         before = best
         for joint, values in enumerate(_choices(profile)):
             for value in values:

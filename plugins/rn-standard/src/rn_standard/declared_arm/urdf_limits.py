@@ -7,7 +7,7 @@ import xml.etree.ElementTree as ElementTree
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from rn_testing.urdf_tree import UrdfTree
+from rn_standard.declared_arm.urdf_tree import UrdfTree
 from roboneuron import ConfigurationError
 
 SLOW_RAD_S, SLOW_M_S = 0.5, 0.05

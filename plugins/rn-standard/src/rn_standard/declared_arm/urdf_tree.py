@@ -5,8 +5,7 @@ from __future__ import annotations
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator
 
-from rn_testing.kinematics import MOVABLE, UrdfJoint, read_joints
-from rn_testing.rule import Violation
+from rn_standard.declared_arm.urdf_joints import MOVABLE, UrdfJoint, read_joints
 from roboneuron import ConfigurationError, joint_kinds, nearest
 
 _FIXED = "fixed"
@@ -35,7 +34,7 @@ class UrdfTree:
         self.links = tuple(link.get("name", "") for link in robot.findall("link"))
         try:
             found = read_joints(urdf)
-        except (Violation, ValueError) as error:
+        except ValueError as error:
             raise ConfigurationError(f"The robot description cannot be read: {error}") from error
         self._above = found
         self._by_name = {joint.name: (parent, joint) for parent, joint in found.values()}
