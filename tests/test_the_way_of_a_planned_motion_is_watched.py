@@ -14,10 +14,10 @@ from planner_goals import (
 from rn_robot_fr3.limits import ARM_JOINTS
 from rn_robot_fr3.profile import HOME_RAD
 from roboneuron import (
+    JointKinds,
     JointSample,
     Obstacle,
     RefusedError,
-    joint_kinds,
 )
 from roboneuron.gate.motion.path_limits import PathLimiter
 from roboneuron.gate.motion.path_watch import WayWatch
@@ -34,7 +34,7 @@ class Way:
     def __init__(self, limiter: PathLimiter, zones: tuple[Obstacle, ...] = ()) -> None:
         self.now_s, self.joints = 0.0, HOME
         self.watch = WayWatch(
-            limiter, zones, lambda: self.joints, joint_kinds(""), lambda: self.now_s
+            limiter, zones, lambda: self.joints, JointKinds.of(""), lambda: self.now_s
         )
 
     def see(self, joints: Any, after_s: float = 0.1) -> None:

@@ -27,7 +27,6 @@ from rn_vla.openvla.statistics import Scaling, VectorStatistics
 from rn_vla.openvla.tiny import random_values
 from roboneuron import (
     EE_DELTA,
-    SPACE_KINDS,
     ArmProfile,
     ArmState,
     ConfigurationError,
@@ -40,6 +39,7 @@ from roboneuron import (
     RobotProfile,
     UngroundedError,
 )
+from roboneuron.contract import SPACE_KINDS
 from roboneuron.modules.inference.agreement import agree
 
 ARM = tuple(f"joint{i}" for i in range(1, 7))

@@ -21,7 +21,6 @@ from rn_backend_pi0.space import pi0_space
 from rn_backend_pi0.tiny import make_tiny
 from roboneuron import (
     EE_DELTA,
-    SPACE_KINDS,
     Ahead,
     ArmProfile,
     ArmState,
@@ -35,6 +34,7 @@ from roboneuron import (
     RobotProfile,
     UngroundedError,
 )
+from roboneuron.contract import SPACE_KINDS
 from roboneuron.modules.inference.agreement import agree
 
 Observe = Callable[..., Observation]

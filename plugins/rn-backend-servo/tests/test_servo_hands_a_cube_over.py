@@ -26,7 +26,6 @@ from rn_testing import BackendCase, BackendContract, effects
 from rn_testing.rule import RuleVerdict
 from rn_testing.rules import RULES
 from rn_testing.verification import verify
-from roboneuron import matrix_of
 from roboneuron.config import LimitsConfig
 from roboneuron.contract import (
     ActionChunk,
@@ -222,7 +221,7 @@ def test_a_cube_is_seen_by_the_camera_of_the_second_hand_where_it_is() -> None:
             if (
                 sighting := look(
                     {camera.role: frame},
-                    {camera.role: matrix_of(tcps["right"])},
+                    {camera.role: tcps["right"].matrix},
                     name,
                     HandOverOptions(),
                 )

@@ -9,7 +9,7 @@ import pytest
 
 from rn_perception_camera.contract_cases import ros_case, video_case
 from rn_testing import PerceptionCase, PerceptionContract
-from roboneuron.plugins.discovery import discover_from
+from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.registry import Status
 
 
@@ -33,7 +33,7 @@ def test_without_opencv_only_the_video_camera_is_unavailable(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setitem(sys.modules, "cv2", None)
-    registry = discover_from(entry_points(group="roboneuron"))
+    registry = discover(points=entry_points(group="roboneuron"))
     offers = {
         offer.spec.name: offer for offer in registry.all_offers if offer.spec.kind == "perception"
     }

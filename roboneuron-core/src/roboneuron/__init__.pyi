@@ -32,7 +32,6 @@ from .contract import (
     LabelLocator as LabelLocator,
     LocatedObject as LocatedObject,
     Locator as Locator,
-    matrix_of as matrix_of,
     Channel as Channel,
     CollisionProfile as CollisionProfile,
     ControlSpace as ControlSpace,
@@ -61,18 +60,14 @@ from .contract import (
     RobotProfile as RobotProfile,
     RobotState as RobotState,
     Runtime as Runtime,
-    SPACE_KINDS as SPACE_KINDS,
     SeveralArms as SeveralArms,
     SpaceController as SpaceController,
     Topics as Topics,
     Workspace as Workspace,
     apply_delta as apply_delta,
     channel_keys as channel_keys,
-    check_rgb8 as check_rgb8,
     depth_from_message as depth_from_message,
-    frame_from_buffer as frame_from_buffer,
     image_from_message as image_from_message,
-    joint_kinds as joint_kinds,
     joints_from_message as joints_from_message,
     mesh_file as mesh_file,
     pose_from_message as pose_from_message,
@@ -81,9 +76,6 @@ from .contract import (
 from .contract.arrays import (
     F64 as F64,
     freeze as freeze,
-)
-from .contract.encodings import (
-    MEASURE_ENCODINGS as MEASURE_ENCODINGS,
 )
 from .contract.image import (
     MAX_SIDE_PX as MAX_SIDE_PX,

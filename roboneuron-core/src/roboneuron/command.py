@@ -18,7 +18,7 @@ GROUPS: Mapping[str, frozenset[str]] = {
         "messages": "intrinsics_from_camera_info to_image",
         "qos": "requested_qos",
         "state_folder": "add_arguments folders_of",
-        "terminal": "add_verbosity is_agreed log_level",
+        "terminal": "is_agreed log_level",
     }.items()
 }
 """Public names of these modules; checked by a contract rule of packages."""

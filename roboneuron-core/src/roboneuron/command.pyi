@@ -27,8 +27,7 @@ from .hang_watch import (
 from .cli.main import (
     CommandModule as CommandModule,
     all_commands as all_commands,
-    load_command as load_command,
-    spoken as spoken,
+    configure as configure,
 )
 from .config.reading import (
     feature_options as feature_options,
@@ -45,7 +44,6 @@ from .planning import (
 )
 from .plugins.discovery import (
     discover as discover,
-    discover_from as discover_from,
 )
 from .plugins.registry import (
     Offer as Offer,

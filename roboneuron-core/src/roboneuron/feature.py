@@ -19,7 +19,6 @@ GROUPS: Mapping[str, frozenset[str]] = {
         "estop": "EmergencyStopLatch",
         "loading": "load_attribute load_options load_options_model load_target",
         "log_files": "PlainFormatter begin_logging opener read_tail",
-        "models": "Name Seconds",
         "reading": "default_text parse_tables read_tables robot_folder",
         "settings": "EMERGENCY_STOP_TOPIC FOREIGN_REQUEST HOLD_DURATION_S INSTRUCTION_PARAMETER",
         "topics": "ACTION DIAGNOSTICS JOINT_STATES PREDICTIONS",

@@ -11,7 +11,6 @@ from . import (
     log_files as log_files,
 )
 from .config import (
-    models as models,
     reading as reading,
 )
 from .modules import (

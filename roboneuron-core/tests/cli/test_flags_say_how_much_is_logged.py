@@ -8,7 +8,7 @@ from argparse import ArgumentParser, Namespace
 import pytest
 
 from roboneuron.cli import terminal
-from roboneuron.cli.main import COMMANDS, load_command
+from roboneuron.cli.main import COMMANDS, ListedCommand
 
 
 @pytest.mark.parametrize(
@@ -28,7 +28,7 @@ def test_flags_before_the_command_belong_to_it(words: list[str], expected: list[
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_command_takes_v_and_q(name: str) -> None:
     parser = ArgumentParser()
-    load_command(name).configure(parser)
+    ListedCommand(name=name, summary="", registry=None).load().configure(parser)
     terminal.add_verbosity(parser)
     assert "--verbose" in parser.format_help()
     assert "--quiet" in parser.format_help()

@@ -8,25 +8,12 @@ import pytest
 
 from roboneuron.cli.main import main, named_command
 from roboneuron.plugins.availability import install_command
-from roboneuron.plugins.discovery import discover_from
 
 
 @pytest.fixture
 def only(site, monkeypatch):
     """Make the command line see only the plugins of the test's site."""
-
-    def discover(disabled=()):
-        from importlib.metadata import distributions
-
-        points = [
-            p
-            for d in distributions(path=[str(site.path)])
-            for p in d.entry_points
-            if p.group == "roboneuron"
-        ]
-        return discover_from(points, disabled)
-
-    monkeypatch.setattr("roboneuron.cli.main.discover", discover)
+    monkeypatch.setattr("roboneuron.cli.main.discover", site.discover)
     return site
 
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from roboneuron.contract import TURN, joint_kinds
+from roboneuron.contract import TURN, JointKinds
 from roboneuron.errors import ConfigurationError
 
 PI, INF = math.pi, math.inf
@@ -27,7 +27,7 @@ def mimic(leader: str, **numbers: object) -> str:
     return f'<mimic joint="{leader}"{told}/>'
 
 
-ALL = joint_kinds(urdf(*(joint(kind, kind) for kind in KINDS), joint("weld", "fixed")))
+ALL = JointKinds.of(urdf(*(joint(kind, kind) for kind in KINDS), joint("weld", "fixed")))
 
 
 @pytest.mark.parametrize(
@@ -85,7 +85,7 @@ def test_what_is_no_position_stays_what_it_is(bad: float) -> None:
     assert ALL.nearest("continuous", bad, 1.0) == 1.0
 
 
-FOLLOWERS = joint_kinds(
+FOLLOWERS = JointKinds.of(
     urdf(
         joint("third", "revolute", mimic("second", multiplier=3)),  # before what it follows
         joint("first", "continuous"),
@@ -145,9 +145,9 @@ def test_messages_of_other_orders_are_read_by_name() -> None:
 )
 def test_a_follower_of_nothing_is_named(joints: list[str], words: str) -> None:
     with pytest.raises(ConfigurationError, match=words):
-        joint_kinds(urdf(*joints)).configuration()
+        JointKinds.of(urdf(*joints)).configuration()
 
 
 def test_a_description_that_is_none_has_no_joints() -> None:
-    assert joint_kinds("no xml").moving == ()
-    assert joint_kinds("").configuration().of({"a": 1.0}).tolist() == []
+    assert JointKinds.of("no xml").moving == ()
+    assert JointKinds.of("").configuration().of({"a": 1.0}).tolist() == []

@@ -281,7 +281,7 @@ def make_host(
     """
     from roboneuron.modules import command_guard, holding, module_host, robot
     from roboneuron.modules.control import module as control
-    from roboneuron.plugins.discovery import discover_from
+    from roboneuron.plugins.discovery import discover
 
     monkeypatch.syspath_prepend(str(loop_site))
     points = [
@@ -289,7 +289,7 @@ def make_host(
         for distribution in importlib.metadata.distributions(path=[str(loop_site)])
         for point in distribution.entry_points
     ]
-    monkeypatch.setattr(module_host, "discover", lambda disabled: discover_from(points, disabled))
+    monkeypatch.setattr(module_host, "discover", lambda disabled: discover(disabled, points=points))
     clock = Clock()
     for one in (control, command_guard, holding, robot):
         monkeypatch.setattr(one, "time", clock)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from roboneuron.plugins.discovery import discover_from
+from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.registry import Status
 
 EVALUATION = '''
@@ -68,8 +68,8 @@ def write(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[object]:
 def test_a_plugin_offers_what_a_feature_or_command_asks_for(write, kind):
     feature = EVALUATION.replace("{module}", "evaluation_one").replace("{table}", "SuiteSpec")
     feature = feature.replace("Feature", kind).replace("features", f"{kind.lower()}s")
-    registry = discover_from(
-        write(a_suite=CUBES.format(module="evaluation_one"), evaluation_one=feature)
+    registry = discover(
+        points=write(a_suite=CUBES.format(module="evaluation_one"), evaluation_one=feature)
     )
     assert [p.status for p in registry.plugins] == [Status.READY, Status.READY]
     assert registry.get(registry.kinds["suite"], "cubes").tasks == 3
@@ -94,7 +94,7 @@ def roboneuron_boat_trips():
 
 def test_a_descriptor_class_brings_others_of_its_module(write):
     text = EVALUATION.replace("{module}", "evaluation_beside").replace("{table}", "SuiteSpec")
-    registry = discover_from(write(evaluation_beside=text + BESIDE))
+    registry = discover(points=write(evaluation_beside=text + BESIDE))
     assert registry.plugins[0].status is Status.READY, registry.plugins[0].reason
     assert registry.get(registry.kinds["boat-trip"], "upriver").summary == "Goes upriver."
 
@@ -103,14 +103,14 @@ def test_a_class_beside_needs_its_hook_too(write):
     text = EVALUATION.replace("{module}", "evaluation_alone").replace("{table}", "SuiteSpec")
     without = BESIDE.replace("def roboneuron_boat_trips() ->", "def roboneuron_other() ->")
     without = without.partition("@hookimpl")[0]
-    registry = discover_from(write(evaluation_alone=text + without))
+    registry = discover(points=write(evaluation_alone=text + without))
     assert registry.plugins[0].status is Status.FAILED
     assert "roboneuron_boat_trips, which evaluation_alone lacks" in registry.plugins[0].reason
 
 
 def test_without_the_feature_its_hook_is_unknown(write):
     text = "from roboneuron import hookimpl\n@hookimpl\ndef roboneuron_suites(): return []\n"
-    registry = discover_from(write(a_suite_alone=text))
+    registry = discover(points=write(a_suite_alone=text))
     assert registry.plugins[0].status is Status.FAILED
     assert "roboneuron_suites is no hook" in registry.plugins[0].reason
 
@@ -130,7 +130,7 @@ def test_a_feature_with_unusable_hooks_fails_alone(write, table, fault):
     )
     feature += "\nfrom roboneuron import BackendSpec\nclass BoatSpec(Spec):\n    kind = 'boat'\n"
     other = SECTION.format(name="fine")
-    registry = discover_from(write(**{f"evaluation_{table.lower()}": feature, "fine_one": other}))
+    registry = discover(points=write(**{f"evaluation_{table.lower()}": feature, "fine_one": other}))
     by_module = {p.module: p for p in registry.plugins}
     assert by_module[f"evaluation_{table.lower()}"].status is Status.FAILED
     assert fault in by_module[f"evaluation_{table.lower()}"].reason
@@ -138,8 +138,10 @@ def test_a_feature_with_unusable_hooks_fails_alone(write, table, fault):
 
 
 def test_two_owners_of_one_section_disable_both(write):
-    registry = discover_from(
-        write(first_owner=SECTION.format(name="one"), second_owner=SECTION.format(name="two"))
+    registry = discover(
+        points=write(
+            first_owner=SECTION.format(name="one"), second_owner=SECTION.format(name="two")
+        )
     )
     assert {p.status for p in registry.plugins} == {Status.CONFLICT}
     assert (
@@ -161,6 +163,6 @@ def test_malformed_features_are_named(write, change, fault):
     text = SECTION.format(name="x")
     field = 'sections=("shared",)'
     text = text.replace('config="m:C", ', "") if "config=None" in change else text
-    registry = discover_from(write(**{name: text.replace(field, change)}))
+    registry = discover(points=write(**{name: text.replace(field, change)}))
     assert registry.plugins[0].status is Status.FAILED
     assert fault in registry.plugins[0].reason

@@ -23,7 +23,6 @@ from roboneuron import (
     UngroundedError,
     UnsafeError,
     matrix_from_rotvec,
-    matrix_of,
 )
 from roboneuron.sight.pose_history import PoseHistory
 
@@ -141,7 +140,7 @@ class ServoBackend(EpisodeBackend):
         if sighting is None and self._policy.episode.phase is Phase.SEARCH:
             raise not_visible(observation.frames, colour)
         options = self._options
-        tcp, kept = matrix_of(pose), kept_rows(observation.ahead, options.rows)
+        tcp, kept = pose.matrix, kept_rows(observation.ahead, options.rows)
         start = pose_after(tcp, kept, rows_done(pose.stamp_ns, primary.stamp_ns, options.step_s))
         motion = self._policy.step(sighting, tcp, gripper_open, start)
         episode = self._policy.episode

@@ -13,7 +13,7 @@ from rn_backend_servo.options import HandOverOptions
 from rn_backend_servo.phases import OPEN, Phase
 from rn_backend_servo.policy import PickPolicy
 from rn_backend_servo.sight import Sighting
-from roboneuron import Action, ArmState, Pose, UngroundedError, apply_delta, matrix_of
+from roboneuron import Action, ArmState, Pose, UngroundedError, apply_delta
 
 F64 = NDArray[np.float64]
 
@@ -122,7 +122,7 @@ class HandOverPolicy:
         self, sighting: Sighting | None, giver: ArmState, taker: ArmState
     ) -> tuple[ArmGoal, ArmGoal]:
         self._rest = self._rest or taker.ee_pose
-        start = matrix_of(giver.ee_pose)
+        start = giver.ee_pose.matrix
         motion = self.pick.step(sighting, start, giver.gripper_open or 0.0)
         if self.pick.episode.phase is Phase.HOLD:
             self._enter(Stage.SHOW)
@@ -145,7 +145,7 @@ class HandOverPolicy:
         shown = self._at(_SHOWN, -apart_m if stage in (Stage.PART, Stage.DONE) else 0.0)
         reached = self._at(_TAKING, apart_m if stage is Stage.READY else 0.0)
         if stage is Stage.SHOW:
-            reached = matrix_of(self._rest)
+            reached = self._rest.matrix
         return (shown, giver_open), (reached, taker_open)
 
     def _at(self, rotation: F64, along_y_m: float) -> F64:
@@ -156,13 +156,13 @@ class HandOverPolicy:
         return pose
 
     def _is_near(self, arm: ArmState, goal: F64) -> bool:
-        pose = matrix_of(arm.ee_pose)
+        pose = arm.ee_pose.matrix
         turn = np.linalg.norm(rotation_between(pose[:3, :3], goal[:3, :3]))
         return bool(np.linalg.norm(goal[:3, 3] - pose[:3, 3]) < _NEAR_M and turn < _NEAR_RAD)
 
     def _nearer(self, pose: Pose, goal: F64) -> Pose:
         """A bounded fraction of the motion from a measured pose to `goal`."""
-        options, start = self._options, matrix_of(pose)
+        options, start = self._options, pose.matrix
         way = options.gain * (goal[:3, 3] - start[:3, 3])
         turn = options.gain * rotation_between(start[:3, :3], goal[:3, :3])
         far_m, far_rad = float(np.linalg.norm(way)), float(np.linalg.norm(turn))

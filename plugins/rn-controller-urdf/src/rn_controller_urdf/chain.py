@@ -8,7 +8,7 @@ import math
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 
-from roboneuron import ConfigurationError, JointKinds, joint_kinds
+from roboneuron import ConfigurationError, JointKinds
 
 _MOVING = ("revolute", "continuous", "prismatic")
 
@@ -125,7 +125,7 @@ def parse_chain(urdf: str, base_link: str, tcp_link: str) -> tuple[ChainJoint, .
         for element in root.findall("joint")
     }
     chain: list[ChainJoint] = []
-    kinds = joint_kinds(urdf)
+    kinds = JointKinds.of(urdf)
     link = tcp_link
     while link != base_link:
         if link not in above or len(chain) > len(above):

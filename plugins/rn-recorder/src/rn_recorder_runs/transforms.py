@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from rn_recorder_runs.files import Record
 from rn_recorder_runs.images import to_string
 from rn_recorder_runs.settings import CameraMount
-from roboneuron import ConfigurationError, joint_kinds, quaternion_from_matrix
+from roboneuron import ConfigurationError, JointKinds, quaternion_from_matrix
 
 F64 = NDArray[np.float64]
 TF, TF_STATIC, DESCRIPTION = "/tf", "/tf_static", "robot_description"
@@ -70,7 +70,7 @@ class RobotTransforms:
         self.urdf = urdf
         joints = _joints(urdf) if urdf else []
         self._moving = [joint for joint in joints if joint.kind in _MOVING]
-        kinds = joint_kinds(urdf)
+        kinds = JointKinds.of(urdf)
         try:
             self._configuration = kinds.configuration([joint.name for joint in self._moving])
         except ConfigurationError as error:

@@ -14,7 +14,7 @@ import pytest
 
 from rn_standard.console.completion import SHELLS
 from rn_standard.console.parsers import whole_parser
-from roboneuron.cli.main import COMMANDS, installed_commands, main, spoken
+from roboneuron.cli.main import all_commands, main
 from roboneuron.plugins.discovery import discover
 
 
@@ -32,8 +32,8 @@ def scripts() -> dict[str, str]:
 @pytest.mark.sampled(every=3)
 @pytest.mark.parametrize("shell", SHELLS)
 def test_commands_of_core_and_of_plugins_are_in_it(scripts: dict[str, str], shell: str) -> None:
-    for name in [*COMMANDS, *installed_commands(discover())]:
-        for word in spoken(name).split():
+    for command in all_commands(discover()):
+        for word in command.words.split():
             assert word in scripts[shell]
     assert "token-variable" in scripts[shell]
 

@@ -15,7 +15,6 @@ import pytest
 
 from rn_standard.console import plugins_list
 from roboneuron.cli.main import main
-from roboneuron.plugins.discovery import discover_from
 
 SCHEMA = Path(__file__).parents[4] / "docs" / "reference" / "plugins-list.schema.json"
 
@@ -30,19 +29,7 @@ def roboneuron_backends():
 @pytest.fixture
 def only(site, monkeypatch):
     """Makes the command see the plugins of the test's site and no others."""
-
-    def discover(disabled=()):
-        from importlib.metadata import distributions
-
-        points = [
-            p
-            for d in distributions(path=[str(site.path)])
-            for p in d.entry_points
-            if p.group == "roboneuron"
-        ]
-        return discover_from(points, disabled)
-
-    monkeypatch.setattr(plugins_list, "discover", discover)
+    monkeypatch.setattr(plugins_list, "discover", site.discover)
     return site
 
 

@@ -52,8 +52,8 @@ class Linked:
 
 def of_commands(monkeypatch: pytest.MonkeyPatch, command: object, state: Path) -> list[Finding]:
     """What the doctor says of a command that a plugin offers."""
-    monkeypatch.setattr(checks, "all_commands", lambda registry: {"link": "pair machines"})
-    monkeypatch.setattr(checks, "load_command", lambda name, registry: command)
+    listed = SimpleNamespace(name="link", words="link", load=lambda: command)
+    monkeypatch.setattr(checks, "all_commands", lambda registry: (listed,))
     found = checks.run_checks(config_in(state))
     return [finding for check, finding in found if check.id == "link"]
 

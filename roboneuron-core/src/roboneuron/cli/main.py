@@ -10,6 +10,7 @@ import os
 import sys
 from argparse import SUPPRESS, ArgumentParser, Namespace, RawDescriptionHelpFormatter
 from collections.abc import Sequence
+from dataclasses import dataclass
 from importlib import import_module
 from typing import NamedTuple, Protocol, cast
 
@@ -83,50 +84,86 @@ def named_command(words: Sequence[str]) -> tuple[str, list[str]]:
     return f"{name}-{own.pop(actions[0])}", own
 
 
-def installed_commands(registry: Registry) -> dict[str, str]:
-    """Summary by name of the usable commands of plugins; one with the name of a core command is
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ListedCommand:
+    """A command that can be run here.
+
+    Attributes:
+        name: as its plugin offers it.
+        summary: one line.
+        registry: the installed plugins; None for a command of the core.
+    """
+
+    name: str
+    summary: str
+    registry: Registry | None
+
+    @property
+    def words(self) -> str:
+        """Its name on the command line."""
+        return spoken(self.name)
+
+    def load(self) -> CommandModule:
+        """Import it.
+
+        Raises:
+            ConfigurationError: no installed plugin offers it, or the plugin is unusable, with the
+                reason.
+            PluginError, MissingDependencyError: it cannot be loaded.
+        """
+        if self.registry is None:
+            return cast(CommandModule, import_module(COMMANDS[self.name].module))
+        target = load_target(self.registry.get(CommandSpec, self.name))
+        if not callable(target):
+            raise PluginError(
+                f"The target of command {self.name!r} is {target!r}, expected a class."
+            )
+        command = target()
+        if not (
+            callable(getattr(command, "configure", None))
+            and callable(getattr(command, "run", None))
+        ):
+            raise PluginError(
+                f"The command {self.name!r} is {command!r}, expected the methods configure and run."
+            )
+        return cast(CommandModule, command)
+
+
+def all_commands(registry: Registry) -> tuple[ListedCommand, ...]:
+    """The core's commands and the usable ones of plugins; one with the name of a core command is
     left out.
     """
-    return {
-        offer.spec.name: offer.spec.summary
+    own = [
+        ListedCommand(name=name, summary=command.summary, registry=None)
+        for name, command in COMMANDS.items()
+    ]
+    installed = [
+        ListedCommand(name=offer.spec.name, summary=offer.spec.summary, registry=registry)
         for offer in registry.offers("command")
         if offer.status is Status.READY and offer.spec.name not in COMMANDS
-    }
+    ]
+    return (*own, *installed)
 
 
-def all_commands(registry: Registry) -> dict[str, str]:
-    """Summary by name of the core's commands and of `installed_commands`."""
-    return {
-        **{name: command.summary for name, command in COMMANDS.items()},
-        **installed_commands(registry),
-    }
-
-
-def load_command(name: str, registry: Registry | None = None) -> CommandModule:
-    """Import a command, one of the core or of a plugin.
+def configure(
+    command: CommandModule, parser: ArgumentParser, words: Sequence[str] | None = None
+) -> None:
+    """Add the arguments of a command, those that installed plugins give it, and those that every
+    command has.
 
     Args:
-        name: as in `COMMANDS`, or offered by a plugin.
-        registry: the installed plugins; None for a core command.
-
-    Raises:
-        ConfigurationError: no installed plugin offers it, or the plugin is unusable, with the
-            reason.
-        PluginError, MissingDependencyError: it cannot be loaded.
+        command: of `ListedCommand.load`.
+        parser: of the command.
+        words: what is to be parsed; plugins are asked only if it may need them. None for all.
     """
-    if registry is None or name in COMMANDS:
-        return cast(CommandModule, import_module(COMMANDS[name].module))
-    target = load_target(registry.get(CommandSpec, name))
-    if not callable(target):
-        raise PluginError(f"The target of command {name!r} is {target!r}, expected a class.")
-    command = target()
-    if not (
-        callable(getattr(command, "configure", None)) and callable(getattr(command, "run", None))
+    command.configure(parser)
+    add_verbosity(parser)
+    add_installed = getattr(command, "add_installed_flags", None)
+    # Discovery imports every plugin, so it is done only for more than core's own flags.
+    if add_installed is not None and (
+        words is None or {"-h", "--help"} & set(words) or parser.parse_known_args(words)[1]
     ):
-        raise PluginError(
-            f"The command {name!r} is {command!r}, expected the methods configure and run."
-        )
-    return cast(CommandModule, command)
+        add_installed(parser)
 
 
 def run_command(command: CommandModule, prog: str, words: Sequence[str]) -> int:
@@ -138,14 +175,7 @@ def run_command(command: CommandModule, prog: str, words: Sequence[str]) -> int:
         words: the remaining words of the command line.
     """
     parser = ArgumentParser(prog=prog, description=command.__doc__)
-    command.configure(parser)
-    add_verbosity(parser)
-    add_installed = getattr(command, "add_installed_flags", None)
-    # Discovery imports every plugin, so it is done only for more than core's own flags.
-    if add_installed is not None and (
-        {"-h", "--help"} & set(words) or parser.parse_known_args(words)[1]
-    ):
-        add_installed(parser)
+    configure(command, parser, words)
     arguments = parser.parse_args(words)
     port = getattr(arguments, "port", 0)  # of several commands
     if isinstance(port, int) and not 0 <= port <= _MOST_PORT:
@@ -167,9 +197,9 @@ def build_parser(registry: Registry, group: str = "") -> ArgumentParser:
         MissingDependencyError: no installed package has an action of the group.
     """
     listed = {
-        spoken(name): text
-        for name, text in all_commands(registry).items()
-        if spoken(name).startswith(f"{group} ".lstrip())
+        command.words: command.summary
+        for command in all_commands(registry)
+        if command.words.startswith(f"{group} ".lstrip())
     }
     if not listed:
         bringing = {p for n, p in known_names("command").items() if spoken(n).startswith(group)}
@@ -216,14 +246,15 @@ def main(argv: Sequence[str] | None = None) -> int:
         and all(offer.spec.name != name for offer in registry.offers("command"))
         and package_of("command", name) is None
     ):
-        names = [*map(spoken, [*COMMANDS, *installed_commands(registry)]), *GROUPS]
+        names = [*(command.words for command in all_commands(registry)), *GROUPS]
         meant = nearest(spoken(name), names, f"Choose one of: {', '.join(names)}.")
         print(f"roboneuron: There is no command {spoken(name)!r}. {meant}", file=sys.stderr)
         return EXIT_USAGE
     try:
         if argv is None and name != "estop":  # must work whatever else is wrong
             keep_apart(own)
-        return run_command(load_command(name, registry), f"roboneuron {spoken(name)}", own)
+        command = ListedCommand(name=name, summary="", registry=registry)
+        return run_command(command.load(), f"roboneuron {command.words}", own)
     except BrokenPipeError:  # the reader of the output has closed it, as `| head` does
         sys.stderr.close()
         return os.EX_OK

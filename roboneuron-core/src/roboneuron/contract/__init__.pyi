@@ -23,7 +23,6 @@ from .joints import (
     JointKinds as JointKinds,
     JointSpan as JointSpan,
     TURN as TURN,
-    joint_kinds as joint_kinds,
     nearest_turn as nearest_turn,
     urdf_joints as urdf_joints,
 )
@@ -33,7 +32,6 @@ from .meshes import (
 )
 from .camera_view import (
     CameraView as CameraView,
-    matrix_of as matrix_of,
 )
 from .locator import (
     CalibratedImage as CalibratedImage,

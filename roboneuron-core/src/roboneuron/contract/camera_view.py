@@ -9,18 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from roboneuron.contract.observation import CameraCalibration, Pose
-from roboneuron.contract.rotation import matrix_from_quaternion
+from roboneuron.contract.observation import CameraCalibration
 
 F64 = NDArray[np.float64]
-
-
-def matrix_of(pose: Pose) -> F64:
-    """Convert a pose to float64 (4, 4)."""
-    matrix = np.eye(4)
-    matrix[:3, :3] = matrix_from_quaternion(pose.quaternion_xyzw)
-    matrix[:3, 3] = pose.position_m
-    return matrix
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -57,7 +57,7 @@ def nearest_turn(start: float, goal: float, lower: float, upper: float) -> float
 
 
 class JointKinds:
-    """The kinds of the joints of one robot description. Get it from `joint_kinds`.
+    """The kinds of the joints of one robot description. Get it from `of`.
 
     A position of a continuous joint and the same with whole turns added are one posture. A robot
     may count turns or not; all that compares measured positions uses `difference`, and all that
@@ -78,6 +78,12 @@ class JointKinds:
         self.moving = tuple(name for name, kind in kinds.items() if kind in _MOVING)
         self.prismatic = frozenset(n for n, kind in kinds.items() if kind == "prismatic")
         self.continuous = frozenset(n for n, kind in kinds.items() if kind == "continuous")
+
+    @classmethod
+    @functools.lru_cache(maxsize=16)
+    def of(cls, urdf: str) -> JointKinds:
+        """Those of a description, read once."""
+        return cls(urdf)
 
     @functools.cached_property
     def followers(self) -> tuple[MimicJoint, ...]:
@@ -170,12 +176,6 @@ class JointKinds:
         raise ConfigurationError(
             f"URDF joint {joint!r} mimics itself.", hint="Let one of these joints lead."
         )
-
-
-@functools.lru_cache(maxsize=16)
-def joint_kinds(urdf: str) -> JointKinds:
-    """The kinds of the joints of a robot description; of no joints for an invalid one."""
-    return JointKinds(urdf)
 
 
 class JointSpan:

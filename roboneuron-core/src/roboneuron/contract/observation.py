@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from roboneuron.contract.arrays import F64, ReadOnly, freeze, read_only_view
 from roboneuron.contract.image import check_rgb8
+from roboneuron.contract.rotation import matrix_from_quaternion
 from roboneuron.errors import InvalidInputError
 
 NS_PER_S = 1_000_000_000
@@ -95,6 +96,14 @@ class Pose(ReadOnly):
     position_m: F64
     quaternion_xyzw: F64
     stamp_ns: int = 0
+
+    @property
+    def matrix(self) -> F64:
+        """The transform from the TCP to the base frame, float64 (4, 4)."""
+        matrix = np.eye(4)
+        matrix[:3, :3] = matrix_from_quaternion(self.quaternion_xyzw)
+        matrix[:3, 3] = self.position_m
+        return matrix
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -15,7 +15,7 @@ from typing import Protocol
 import numpy as np
 
 from roboneuron.contract.arrays import F64, ReadOnly, freeze
-from roboneuron.contract.joints import JointKinds, joint_kinds
+from roboneuron.contract.joints import JointKinds
 from roboneuron.contract.meshes import collision_meshes, has_collision_shapes, mesh_file
 from roboneuron.contract.observation import CameraCalibration
 from roboneuron.errors import InvalidInputError
@@ -301,7 +301,7 @@ class RobotProfile:
     @property
     def kinds(self) -> JointKinds:
         """Kinds of the joints of its description."""
-        return joint_kinds(self.urdf)
+        return JointKinds.of(self.urdf)
 
     @property
     def each_arm(self) -> tuple[ArmProfile, ...]:

@@ -11,7 +11,6 @@ import numpy as np
 from roboneuron.config.cameras import CameraConfig
 from roboneuron.config.models import RobotConfig
 from roboneuron.contract import CameraCalibration, CameraProfile, Pose, RobotProfile
-from roboneuron.contract.camera_view import matrix_of
 from roboneuron.errors import ConfigurationError, PluginError
 from roboneuron.plugins.loading import load_options, load_target
 from roboneuron.plugins.registry import Registry
@@ -93,6 +92,6 @@ def _calibrated(
         quaternion_xyzw=np.array(section.quaternion_xyzw) / np.linalg.norm(section.quaternion_xyzw),
     )
     calibration = CameraCalibration(
-        intrinsics=known, mount=section.mount, T_mount_camera=matrix_of(pose)
+        intrinsics=known, mount=section.mount, T_mount_camera=pose.matrix
     )
     return replace(camera, width=width, height=height, calibration=calibration)

@@ -56,19 +56,32 @@ class RobotDeclaration(Protocol):
     def arm(self) -> object | None: ...
 
 
-def discover(disabled: Collection[str] = (), robot: RobotDeclaration | None = None) -> Registry:
+def discover(
+    disabled: Collection[str] = (),
+    robot: RobotDeclaration | None = None,
+    *,
+    points: Iterable[EntryPoint] | None = None,
+) -> Registry:
     """Read all installed plugins, importing only their plugin modules.
+
+    Two passes: plugins may define additional kinds and hooks, which are collected before any
+    plugin's offers are read.
 
     Args:
         disabled: names of plugins that must not be imported; a distribution's name stands for all
             of its plugins.
         robot: section of the configuration; if it declares an arm, that is among the robots.
+        points: entry points of the group `roboneuron`, in any order; those installed if None.
 
     Raises:
         ConfigurationError: `disabled` names neither an installed plugin nor a distribution with
             plugins; no feature describes the arm, or an installed robot has its name.
     """
-    registry = _discover_in(_search_path(), tuple(disabled))
+    registry = (
+        _discover_in(_search_path(), tuple(disabled))
+        if points is None
+        else _discover_from(points, disabled)
+    )
     return registry if robot is None or robot.arm is None else _with_declared(registry, robot)
 
 
@@ -100,7 +113,7 @@ def _discover_in(path: tuple[tuple[str, int], ...], disabled: tuple[str, ...]) -
     with each start of a module.
     """
     importlib.invalidate_caches()
-    return discover_from(entry_points(group=PROJECT), disabled)
+    return _discover_from(entry_points(group=PROJECT), disabled)
 
 
 def _search_path() -> tuple[tuple[str, int], ...]:
@@ -114,16 +127,7 @@ def _search_path() -> tuple[tuple[str, int], ...]:
     return tuple(found)
 
 
-def discover_from(points: Iterable[EntryPoint], disabled: Collection[str] = ()) -> Registry:
-    """Like `discover`, for the given entry points.
-
-    Two passes: plugins may define additional kinds and hooks, which are collected before any
-    plugin's offers are read.
-
-    Args:
-        points: entry points of the group `roboneuron`, in any order.
-        disabled: see `discover`.
-    """
+def _discover_from(points: Iterable[EntryPoint], disabled: Collection[str]) -> Registry:
     found = sorted(((_record(point), point) for point in points), key=lambda pair: _order(pair[0]))
     skipped = _check_disabled(disabled, {name for record, _ in found for name in _names(record)})
     hooks = HOOKS

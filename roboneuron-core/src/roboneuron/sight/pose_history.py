@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roboneuron.contract import Pose
-from roboneuron.contract.camera_view import matrix_of
 
 __all__ = ["PoseHistory"]
 """Names that other distributions may use."""
@@ -48,14 +47,14 @@ class PoseHistory:
         if not poses or stamp_ns > poses[-1].stamp_ns + _AHEAD_NS:
             return None
         if stamp_ns >= poses[-1].stamp_ns:
-            return matrix_of(poses[-1])
+            return poses[-1].matrix
         for earlier, later in zip(
             reversed(list(poses)[:-1]), reversed(list(poses)[1:]), strict=True
         ):
             if earlier.stamp_ns <= stamp_ns:
-                return matrix_of(_between(earlier, later, stamp_ns))
+                return _between(earlier, later, stamp_ns).matrix
         is_resting = np.linalg.norm(poses[-1].position_m - poses[0].position_m) < _AT_REST_M
-        return matrix_of(poses[0]) if is_resting else None
+        return poses[0].matrix if is_resting else None
 
 
 def _between(earlier: Pose, later: Pose, stamp_ns: int) -> Pose:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roboneuron.contract import CameraCalibration, Observation, Pose
-from roboneuron.contract.camera_view import CameraView, matrix_of
+from roboneuron.contract.camera_view import CameraView
 from roboneuron.contract.locator import CalibratedImage
 from roboneuron.sight.segmentation import LEAST_AREA_PX, colour_mask
 
@@ -108,7 +108,7 @@ def rays_of(observation: Observation, colour: str) -> dict[str, Ray]:
         if seen is None:
             continue
         centre, is_cut = seen
-        view = CameraView.of(calibration, np.eye(4) if tcp is None else matrix_of(tcp))
+        view = CameraView.of(calibration, np.eye(4) if tcp is None else tcp.matrix)
         rays[role] = ray_through(view, centre, is_coarse=is_cut)
     return rays
 

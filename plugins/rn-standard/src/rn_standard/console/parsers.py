@@ -10,13 +10,7 @@ from pathlib import Path
 import shtab
 
 from roboneuron import RoboNeuronError
-from roboneuron.command import (
-    all_commands,
-    discover,
-    load_command,
-    spoken,
-    terminal,
-)
+from roboneuron.command import all_commands, configure, discover
 
 log = logging.getLogger(__name__)
 _FOLDERS = ("DIRECTORY", "FOLDER")
@@ -28,29 +22,26 @@ def whole_parser() -> ArgumentParser:
     """Create the parser of all commands; a plugin's command that cannot be loaded is logged and
     left out.
     """
-    registry = discover()
     parser = ArgumentParser(prog="roboneuron")
     parser.add_argument(
         "--version", action="store_true", help="show program's version number and exit"
     )
     commands = parser.add_subparsers(dest="command")
     groups: dict[str, _SubParsersAction[ArgumentParser]] = {}
-    for name, summary in all_commands(registry).items():
+    for listed in all_commands(discover()):
         try:
-            module = load_command(name, registry)
+            module = listed.load()
         except RoboNeuronError as error:
-            log.warning("The command %s is left out: %s", name, error)
+            log.warning("The command %s is left out: %s", listed.name, error)
             continue
-        group, _, word = spoken(name).rpartition(" ")
+        group, _, word = listed.words.rpartition(" ")
         if group and group not in groups:
             groups[group] = commands.add_parser(group, help=ONLY_ACTIONS).add_subparsers(
                 dest="action"
             )
         holder = groups.get(group, commands)
-        command = holder.add_parser(word, help=summary, description=module.__doc__)
-        module.configure(command)
-        getattr(module, "add_installed_flags", lambda _: None)(command)
-        terminal.add_verbosity(command)
+        command = holder.add_parser(word, help=listed.summary, description=module.__doc__)
+        configure(module, command)
     for action in _actions(parser):
         if action.type is Path and not action.choices:
             is_folder = action.metavar in _FOLDERS

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 from rn_standard.console.chosen_plugins import add_config, read_disabled
 from roboneuron import CONTRACT_VERSION, __version__, foreign, install_command
-from roboneuron.command import Offer, PluginRecord, Status, availability, discover, spoken
+from roboneuron.command import Offer, PluginRecord, Status, all_commands, availability, discover
 from roboneuron.feature import Registry
 
 SCHEMA_VERSION = 1
@@ -117,10 +117,13 @@ def print_short(registry: Registry) -> None:
         command = install_command()
         print(f"No plugins are installed. For a start: {command}")
         return
+    words = {command.name: command.words for command in all_commands(registry)}
     ready: dict[str, list[str]] = {}
     for offer in sorted(registry.all_offers, key=lambda o: (o.spec.kind, o.spec.name)):
         if offer.status is Status.READY:
-            ready.setdefault(offer.spec.kind, []).append(spoken(offer.spec.name))
+            ready.setdefault(offer.spec.kind, []).append(
+                words.get(offer.spec.name, offer.spec.name)
+            )
     indent = max((len(kind) for kind in ready), default=0) + 2
     print(_paint("READY", "bold"))
     for kind, every in ready.items():

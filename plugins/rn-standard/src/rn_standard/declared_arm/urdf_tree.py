@@ -6,7 +6,7 @@ import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator
 
 from rn_standard.declared_arm.urdf_joints import MOVABLE, UrdfJoint, read_joints
-from roboneuron import ConfigurationError, joint_kinds, nearest
+from roboneuron import ConfigurationError, JointKinds, nearest
 
 _FIXED = "fixed"
 
@@ -30,7 +30,7 @@ class UrdfTree:
         """
         robot = _parse(urdf)
         self.urdf = urdf
-        self.kinds = joint_kinds(urdf)
+        self.kinds = JointKinds.of(urdf)
         self.links = tuple(link.get("name", "") for link in robot.findall("link"))
         try:
             found = read_joints(urdf)

@@ -33,8 +33,6 @@ from roboneuron.command import (
     availability,
     discover,
     environment,
-    load_command,
-    spoken,
 )
 from roboneuron.feature import Config, Registry, estop
 
@@ -72,10 +70,10 @@ def run_checks(config: Config) -> Iterator[tuple[Check, Finding]]:
 
 def _of_commands(config: Config) -> Iterator[tuple[Check, Finding]]:
     """Findings of plugins' commands that have a method `findings`; see `Examining`."""
-    registry = discover(config.disabled_plugins)
-    for name in sorted(all_commands(registry)):
+    commands = all_commands(discover(config.disabled_plugins))
+    for listed in sorted(commands, key=lambda one: one.name):
         try:
-            command = load_command(name, registry)
+            command = listed.load()
             if not isinstance(command, Examining):
                 continue
             found = [
@@ -85,8 +83,8 @@ def _of_commands(config: Config) -> Iterator[tuple[Check, Finding]]:
         except RoboNeuronError as error:
             found = [failed(error.message, error.hint)]
         for finding in found:
-            question = f"Is all well with `roboneuron {spoken(name)}`?"
-            yield Check(id=name, question=question, answer=partial(_told, finding)), finding
+            question = f"Is all well with `roboneuron {listed.words}`?"
+            yield Check(id=listed.name, question=question, answer=partial(_told, finding)), finding
 
 
 def _told(finding: Finding, _: Config) -> Finding:

@@ -7,13 +7,15 @@ from typing import Annotated, Literal, Self
 from pydantic import Field
 
 from roboneuron import Section
-from roboneuron.feature import Config, models
+from roboneuron.feature import Config
 
 
 class TokenConfig(Section):
     """One entry of `http.tokens`: the place of a bearer token, never the token itself."""
 
-    name: models.Name = Field(description="who holds it; for the audit")
+    name: str = Field(
+        pattern=r"^[a-z][a-z0-9-]*$", max_length=64, description="who holds it; for the audit"
+    )
     role: Literal["viewer", "operator", "admin"] = Field(
         description="read; also move; also expose and reset"
     )
@@ -48,7 +50,7 @@ class HttpOptions(Section):
         strict=False,
         description="web pages that may connect, such as https://panel.lan",
     )
-    lease_s: models.Seconds | Literal["auto", "never"] = Field(
+    lease_s: Annotated[float, Field(gt=0, le=3600)] | Literal["auto", "never"] = Field(
         default="auto",
         description="motion ends when its operator is silent for this long; auto: 120 over HTTP, "
         "never over stdio",

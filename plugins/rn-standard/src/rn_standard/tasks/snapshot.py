@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from roboneuron import ArmState, Frame, JointKinds, Observation, Pose, joint_kinds
+from roboneuron import ArmState, Frame, JointKinds, Observation, Pose
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -81,7 +81,7 @@ class StillClock:
     """
 
     def __init__(self, least: float = 0.002, kinds: JointKinds | None = None) -> None:
-        self._least, self._kinds = least, kinds or joint_kinds("")
+        self._least, self._kinds = least, kinds or JointKinds.of("")
         self._anchor: dict[str, float] = {}
         self._since_s = 0.0
 

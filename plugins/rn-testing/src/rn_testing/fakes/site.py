@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from importlib.metadata import distributions
 from pathlib import Path
 
-from roboneuron.command import discover_from
+from roboneuron.command import discover
 from roboneuron.feature import Registry
 
 HEADER = """\
@@ -56,7 +56,7 @@ class PluginSite:
             for p in d.entry_points
             if p.group == "roboneuron"
         ]
-        return discover_from(points, disabled)
+        return discover(disabled, points=points)
 
 
 @contextmanager
