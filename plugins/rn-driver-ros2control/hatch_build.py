@@ -39,13 +39,17 @@ class CustomBuildHook(BuildHookInterface):  # type: ignore[type-arg]
         downloaded twice.
         """
         typesupport = _typesupport()
-        return [] if typesupport.find_wheels() is not None else list(typesupport.REQUIRED)
+        if typesupport.is_sourced(PACKAGE) or typesupport.find_wheels() is not None:
+            return []
+        return list(typesupport.REQUIRED)
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
         """Build before the files of the wheel are collected; pip asks twice, so what is built is
-        kept in `build`.
+        kept in `build`. With a sourced ROS that has the types, nothing is built.
         """
         typesupport = _typesupport()
+        if typesupport.is_sourced(PACKAGE):
+            return
         try:
             built = typesupport.build_once(ROOT / PACKAGE, ROOT / "build")
             platform = typesupport.wheel_platform(built)

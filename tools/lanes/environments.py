@@ -103,6 +103,7 @@ CLIENTS = {
 ENVIRONMENTS = {
     "fr3sim": Environment(("franka-sim==1.1.7", "numpy==1.26.4"), costs="about a minute"),
     "openai": Environment(("openai>=2",)),
+    "uv": Environment(("uv>=0.9",)),
     "vla-eval": Environment(("vla-eval==0.8.0",)),
     # it imports typing_extensions without requiring it
     "openpi-client": Environment(("openpi-client==0.1.2", "typing_extensions")),

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import nox
 
-from lanes.environments import CLIENTS, ROOT, prepare, python_of
+from lanes.environments import CLIENTS, ROOT, folder_of, prepare, python_of
 from lanes.lane import BIN, JOBS, lane, pytest, python
 
 OPENPI = Path(os.environ.get("OPENPI", "../openpi"))
@@ -219,6 +219,13 @@ def test_parity(session: nox.Session) -> None:
 def test_conformance(session: nox.Session) -> None:
     """MCP Inspector and the public conformance suite against our server (npm)"""
     python(session, "tests/interop/check.py")
+
+
+@lane
+def aarch64(session: nox.Session) -> None:
+    """resolve every distribution for aarch64 and Python 3.12, without installing it"""
+    prepare(session, "uv")
+    python(session, "tools/aarch64.py", "--uv", str(folder_of("uv") / "bin" / "uv"))
 
 
 @lane

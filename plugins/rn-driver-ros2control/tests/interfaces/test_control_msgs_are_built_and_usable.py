@@ -21,6 +21,25 @@ ROOT = Path(__file__).parents[2]
 DEFINITIONS = ROOT / "control_msgs"
 
 
+@pytest.mark.parametrize(
+    ("files", "found"),
+    [
+        (("local_setup.bash", "share/control_msgs/package.xml"), True),
+        (("local_setup.bash", "share/std_msgs/package.xml"), False),
+        (("share/control_msgs/package.xml",), False),  # an environment with the wheel of this
+        ((), False),
+    ],
+)
+def test_types_of_a_sourced_ros_are_used_instead_of_built_ones(tmp_path, monkeypatch, files, found):
+    for name in files:
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).touch()
+    monkeypatch.setenv("AMENT_PREFIX_PATH", f"{tmp_path / 'other'}{os.pathsep}{tmp_path}")
+    assert typesupport.is_sourced("control_msgs") is found
+    monkeypatch.delenv("AMENT_PREFIX_PATH")
+    assert not typesupport.is_sourced("control_msgs")
+
+
 def test_every_definition_has_a_type_of_its_name():
     import importlib
 

@@ -134,6 +134,15 @@ def find_wheels() -> GeneratorWheels | None:
     return None
 
 
+def is_sourced(package: str) -> bool:
+    """True if a sourced ROS installation or workspace has this interface package."""
+    prefixes = map(Path, filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)))
+    return any(
+        (prefix / "local_setup.bash").exists() and (prefix / "share" / package).is_dir()
+        for prefix in prefixes
+    )
+
+
 def definitions(folder: Path) -> list[str]:
     """Paths of the definitions in `folder`, relative to it, sorted.
 
