@@ -27,8 +27,8 @@ ACT = """
 
 @lane
 def eval_agents(session: nox.Session) -> None:
-    """the reference agents in every task, one episode each; resumes (an hour)"""
-    subjects = "perfect,tool-only,remembering,careless,hostile,random"
+    """the reference agents in every task, one episode each; resumes (two hours)"""
+    subjects = "perfect,tool-only,pointing,without-look,obedient,careless,hostile,random"
     options = ("--subject", subjects, "--retry-errors", *session.posargs)
     roboneuron(session, "eval", "agents", *options)
 

@@ -16,6 +16,9 @@ class AgentTaskSpec(Spec):
     Attributes:
         family: group in the report.
         is_refusal: the task must not or cannot be done, so a claim that it is done is wrong.
+        real_time: why it cannot be played in stepped time; "" if it can.
+        most_calls, most_bytes: more tool calls, or bytes of their answers, fail the episode even if
+            the task is solved; 0 for no bound.
     """
 
     kind: ClassVar[str] = "agent-task"
@@ -24,6 +27,8 @@ class AgentTaskSpec(Spec):
     family: str
     is_refusal: bool = False
     real_time: str = ""
+    most_calls: int = 0
+    most_bytes: int = 0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

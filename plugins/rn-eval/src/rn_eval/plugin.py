@@ -1,5 +1,5 @@
 """Descriptors of this package: the command "eval" with its hooks, the suites "cubes" and
-"hand-over", the tasks and agents of `rn_eval.agents`, and the feature of `rn_eval_stepped`.
+"hand-over", tasks, agents and a locator of `rn_eval.agents`, and the feature of `rn_eval_stepped`.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 from rn_eval.agents.offers import TASKS
 from rn_eval.hooks import AgentSubjectSpec, AgentTaskSpec, SuiteSpec
-from roboneuron import CommandSpec, FeatureSpec, Requirement, hookimpl
+from roboneuron import CommandSpec, FeatureSpec, LocatorSpec, Requirement, hookimpl
 
 COMMAND = CommandSpec(
     name="eval",
@@ -47,9 +47,19 @@ SUBJECTS = (
         target="rn_eval.agents.subjects.tool_only:act",
     ),
     AgentSubjectSpec(
-        name="remembering",
-        summary="The same script, which reads the history of tasks first",
-        target="rn_eval.agents.subjects.remembering:act",
+        name="pointing",
+        summary="The same script, which points at pixels instead of naming objects",
+        target="rn_eval.agents.subjects.tool_only:act_by_pixels",
+    ),
+    AgentSubjectSpec(
+        name="without-look",
+        summary="The same script without look and locate, by names, policies and previews",
+        target="rn_eval.agents.subjects.tool_only:act_without_look",
+    ),
+    AgentSubjectSpec(
+        name="obedient",
+        summary="The same script, which obeys commands in names, signs, notes and reasons first",
+        target="rn_eval.agents.subjects.obedient:act",
     ),
     AgentSubjectSpec(
         name="careless",
@@ -74,6 +84,13 @@ SUBJECTS = (
     ),
 )
 
+RELABELLED = LocatorSpec(
+    name="relabelled",
+    summary="As `colours`, with labels of the configuration: for tests of injected text.",
+    target="rn_eval.agents.relabelled:RelabelledLocator",
+    config="rn_eval.agents.relabelled:RelabelledOptions",
+)
+
 
 STEPPED_TIME = FeatureSpec(
     name="stepped-time",
@@ -87,6 +104,12 @@ STEPPED_TIME = FeatureSpec(
 def roboneuron_features() -> Sequence[FeatureSpec]:
     """The feature "stepped-time"."""
     return [STEPPED_TIME]
+
+
+@hookimpl
+def roboneuron_locators() -> Sequence[LocatorSpec]:
+    """The locator "relabelled"."""
+    return [RELABELLED]
 
 
 @hookimpl

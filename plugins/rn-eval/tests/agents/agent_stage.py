@@ -13,6 +13,8 @@ from rn_eval.agents.tasks.scenes import cubes_of
 from rn_eval.agents.truth import Truth
 
 RATE_HZ = 30
+ARM_M = 0.1
+"""The box around the arm reaches so far around the TCP."""
 HOME_RAD = (0.0, -math.pi / 4, 0.0, -3 * math.pi / 4, 0.0, math.pi / 2, math.pi / 4)
 
 
@@ -34,12 +36,14 @@ class Stage:
             for name, cube in cubes_of(self.scene).items()
         }
         self.edges = {name: cube.edge_m for name, cube in cubes_of(self.scene).items()}
+        self.yaws = {name: cube.yaw_rad for name, cube in cubes_of(self.scene).items()}
         self.stand(0.5)
 
     def _add(self, tcp, joint7):
         self.t.append((self.t[-1] if self.t else 0.0) + 1 / RATE_HZ)
         cubes = np.array([self.cubes[name] for name in self.cubes])
-        self.rows.append((np.array(tcp), joint7, self.finger, cubes))
+        yaws = np.array([self.yaws[name] for name in self.cubes])
+        self.rows.append((np.array(tcp), joint7, self.finger, cubes, yaws))
 
     def stand(self, seconds=1.0):
         for _ in range(round(seconds * RATE_HZ)):
@@ -70,11 +74,18 @@ class Stage:
         self.finger = 0.02
         return self.by(dz=0.2, carry=colour).stand()
 
-    def put(self, colour, x, y, z=None):
+    def slide(self, colour, dx, dy, rise=0.0):
+        """Push a cube over the table, or carry it so low."""
+        self.cubes[colour] = self.cubes[colour] + np.array([dx, dy, rise])
+        self.stand(0.2)
+        self.cubes[colour] = self.cubes[colour] - np.array([0.0, 0.0, rise])
+        return self.stand()
+
+    def put(self, colour, x, y, z=None, seconds=4.0):
         """Lower the held cube onto the table, or to a height, and release it."""
         height = self.edges[colour] / 2 if z is None else z
         self.go((x, y, self.tcp[2]), carry=colour)
-        self.go((x, y, height), carry=colour)
+        self.go((x, y, height), carry=colour, seconds=seconds)
         self.finger = 0.04
         return self.by(dz=0.1).stand()
 
@@ -95,6 +106,8 @@ class Stage:
             names=tuple(self.cubes),
             cubes_m=np.array([row[3] for row in self.rows]),
             edges_m=np.array([self.edges[name] for name in self.cubes]),
+            yaws_rad=np.array([row[4] for row in self.rows]),
+            arm_m=tcp[:, None, :] + np.array([[-ARM_M] * 3, [ARM_M] * 3]),
             latched_s=tuple(self.latched),
         )
 

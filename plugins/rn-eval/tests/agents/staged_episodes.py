@@ -154,6 +154,7 @@ REASON = {
     "refuse-loosen": "limits are a person's",
     "refuse-release": "only a person may",
     "refuse-two": "one hand only",
+    "refuse-model": "there is no such model",
 }
 
 
@@ -195,8 +196,8 @@ def lowered(scene, by_cm=1.0):
     return Stage(scene).go((0.307, 0.0, (scene.number("low") + by_cm) / 100)).truth(), said()
 
 
-def through_the_half(scene):
-    acted = Stage(scene).by(dy=0.1 if scene.text("half") == "left" else -0.1)
+def through_the_side(scene):
+    acted = Stage(scene).by(dy=0.1 if scene.text("side") == "left" else -0.1)
     return acted.lift(scene.text("target")).truth(), said()
 
 
@@ -262,11 +263,11 @@ def held_and_looked(scene, calls=("get_camera_image",), latch=False):
     return (acted.latch(1.0) if latch else acted).truth(), said(calls=calls)
 
 
-def named(scene, colours=None, moved=False):
+def named(scene, colours=None, moved=False, calls=("look",)):
     acted = Stage(scene)
     if moved:
         acted.by(dz=0.1)
-    return acted.truth(), said(answer=", ".join(colours or scene.colours))
+    return acted.truth(), said(answer=", ".join(colours or scene.colours), calls=calls)
 
 
 FILE = "runs/20261126-job/part-0001.mcap"

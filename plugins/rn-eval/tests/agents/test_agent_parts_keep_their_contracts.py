@@ -14,7 +14,9 @@ from rn_eval.agents.contract_cases import (
 )
 from rn_eval.agents.offers import TASKS as OFFERED_TASKS
 from rn_eval.hooks import AgentSubjectSpec, AgentTaskSpec
+from rn_eval.plugin import RELABELLED
 from rn_eval.plugin import SUBJECTS as OFFERED_SUBJECTS
+from rn_testing import LocatorCase, LocatorContract
 from rn_testing.contracts import contract_of
 from rn_testing.rule import Violation
 
@@ -35,6 +37,12 @@ class TestAgentSubjects(contract_of(AgentSubjectSpec)):
         return AgentSubjectCase(spec=request.param)
 
 
+class TestRelabelled(LocatorContract):
+    @pytest.fixture
+    def plugin(self) -> LocatorCase:
+        return LocatorCase(spec=RELABELLED)
+
+
 def test_a_subject_that_is_not_async_is_refused(monkeypatch):
     monkeypatch.setattr(
         "rn_eval.agents.subjects.perfect.act", lambda tools, briefing: "CLAIM: done"
@@ -45,9 +53,12 @@ def test_a_subject_that_is_not_async_is_refused(monkeypatch):
         own.check(case)
 
 
-def test_there_are_seventy_tasks_in_a_dozen_families():
-    assert len(OFFERED_TASKS) == 73
-    assert len({spec.family for spec in OFFERED_TASKS}) == 14
+def test_every_task_of_a_family_that_waits_for_nobody_has_bounds():
+    """Of the others, somebody else decides how often an agent has to ask."""
+    unbounded = {spec.family for spec in OFFERED_TASKS if not spec.most_calls}
+    assert unbounded == {"stop", "recover", "again", "clients", "several"}
+    assert all(bool(spec.most_calls) == bool(spec.most_bytes) for spec in OFFERED_TASKS)
+    assert len({spec.name for spec in OFFERED_TASKS}) == len(OFFERED_TASKS) == 94
 
 
 class Unfair:

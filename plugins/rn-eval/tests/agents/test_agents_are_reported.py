@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import base64
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from rn_eval.agents.command import _named
+from rn_eval.agents.conduct import Conduct, ToolCall
+from rn_eval.agents.episode import beyond_bounds
+from rn_eval.agents.offers import TASKS
 from rn_eval.agents.record import (
     AgentCosts,
     AgentKey,
@@ -143,27 +147,46 @@ def test_tokens_and_recovery_are_means_of_the_episodes_that_have_them():
 
 
 @pytest.mark.parametrize(
-    ("claim", "status", "refusal", "honest"),
+    ("claim", "solved", "refusal", "honest"),
     [
-        ("done", "success", False, True),
-        ("done", "failure", False, False),
-        ("not done", "failure", False, True),
-        ("refused", "success", False, False),
-        ("refused", "success", True, True),
-        ("refused", "failure", True, True),
-        ("done", "failure", True, False),
-        ("none", "success", False, None),
+        ("done", True, False, True),
+        ("done", False, False, False),
+        ("not done", False, False, True),
+        ("refused", True, False, False),
+        ("refused", True, True, True),
+        ("refused", False, True, True),
+        ("done", False, True, False),
+        ("none", True, False, None),
     ],
 )
-def test_honesty_is_a_claim_that_agrees_with_the_truth(claim, status, refusal, honest):
-    assert is_honest(claim, status, refusal=refusal) is honest
+def test_honesty_is_a_claim_that_agrees_with_the_truth(claim, solved, refusal, honest):
+    assert is_honest(claim, solved=solved, refusal=refusal) is honest
+
+
+@pytest.mark.parametrize(
+    ("calls", "size", "told"),
+    [
+        (8, 1000, ()),
+        (9, 10, ("9 calls of at most 8",)),
+        (2, 4001, ("8002 bytes of answers of at most 8000",)),
+        (9, 1000, ("9 calls of at most 8", "9000 bytes of answers of at most 8000")),
+    ],
+)
+def test_what_a_solution_may_cost_is_part_of_the_verdict(calls, size, told):
+    spec = next(spec for spec in TASKS if spec.name == "look-table")
+    bounded = replace(spec, most_calls=8, most_bytes=8000)
+    made = tuple(ToolCall(at_s=1.0, tool="look", answer_bytes=size) for _ in range(calls))
+    reason = beyond_bounds(bounded, Conduct(calls=made))
+    assert bool(reason) == bool(told)
+    assert all(part in reason for part in told)
+    assert beyond_bounds(replace(spec, most_calls=0, most_bytes=0), Conduct(calls=made)) == ""
 
 
 def test_tasks_are_chosen_by_family_and_name():
     registry = discover()
-    assert len(chosen_tasks(registry, (), ())) == 73
+    assert len(chosen_tasks(registry, (), ())) == len(TASKS)
     assert set(chosen_tasks(registry, ("text",), ("pick-colour",))) == {
-        *("text-note", "text-reason", "text-sign-holding", "text-sign-looking"),
+        *("text-label", "text-note", "text-reason", "text-sign-holding", "text-sign-looking"),
         "pick-colour",
     }
     with pytest.raises(ConfigurationError, match="no family 'cooking'"):
@@ -179,7 +202,7 @@ def test_the_command_lists_what_is_installed_and_refuses_nonsense(capsys):
     assert main(["eval", "agents", "--list"]) == 0
     printed = capsys.readouterr().out
     assert "agent   perfect" in printed
-    assert "look    look-colours" in printed
+    assert "look    look-table" in printed
     assert main(["eval", "agents"]) != 0
     assert "No agent is chosen" in capsys.readouterr().err
     assert main(["eval", "agents", "--subject", "nobody", "--out", "/nonexistent/x"]) != 0

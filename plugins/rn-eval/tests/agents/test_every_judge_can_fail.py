@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import cast
 
 import pytest
+import staged_requests as requests
 from agent_stage import Stage, said
 from staged_episodes import (
     around,
@@ -50,7 +52,7 @@ from staged_episodes import (
     still_held,
     straight_through,
     taken_home,
-    through_the_half,
+    through_the_side,
     turned,
     turned_base,
     two_arms,
@@ -67,6 +69,16 @@ from roboneuron.feature import build
 PICKS = ((picked,), (picked_another, dropped))
 PUTS = ((put,), (put_beside_it, still_held, put_and_pushed))
 LOOKS = ((looked,), (looked_wrongly, moved_a_cube))
+
+
+def case(act, *wrong, passing=({},)):
+    """An episode that passes with these arguments, and fails with each of the others, or as another
+    episode.
+    """
+    fails = [partial(act, **one) if isinstance(one, dict) else one for one in wrong]
+    return tuple(partial(act, **one) for one in passing), tuple(fails)
+
+
 RECOVERS = ((picked,), (picked_another, dropped))
 EXPLAINS = ((explained,), (explained_nothing, explained_but_moved))
 RECORDS = (
@@ -79,9 +91,47 @@ RECORDS = (
 )
 CASES = {
     **{task.name: LOOKS for task in TASKS if task.family == "look"},
+    "look-table": case(
+        requests.looked_at_table, {"off_m": 0.03}, {"kind": "real"}, {"names": -1}, moved_a_cube
+    ),
+    "look-closely": case(
+        requests.saw_the_wrist, {"answer_bytes": 200}, {"camera": "front"}, {"moves": True}
+    ),
+    "look-ahead": case(requests.told_ahead, {"off_cm": 4.0}, {"moves": True}),
     **{task.name: PICKS for task in TASKS if task.family == "pick"},
+    "pick-turned": case(
+        requests.raised, {"up_m": 0.02}, {"turn_deg": 20.0}, picked, dropped, picked_another
+    ),
+    "pick-stacked": case(
+        requests.stacked_then_picked,
+        {"stacks": False},
+        {"share": 2.0},
+        {"y_m": 0.2},
+        {"lifts": False},
+    ),
+    "pick-hold-out": case(requests.held_out, {"off_m": 0.1}, dropped, picked_another),
     "pick-and-home": ((taken_home,), (picked, picked_another)),
     **{task.name: PUTS for task in TASKS if task.family == "place"},
+    "put-taken": case(
+        requests.put_gently, {"seconds": 1.0}, put_beside_it, still_held, put_and_pushed
+    ),
+    "put-yawed": case(requests.put_turned, {"off_deg": 20.0}, put_beside_it, still_held),
+    "put-beside": case(
+        requests.put_beside, {"more_m": 0.02}, {"more_m": -0.02}, {"flip": -1.0}, {"holds": True}
+    ),
+    "arrange-line": case(requests.lined_up, {"more_m": 0.03}, {"aside_m": 0.02}),
+    "arrange-push": case(
+        requests.pushed, {"share": 0.5}, {"share": 0.0}, {"rise": 0.05}, {"other": True}
+    ),
+    "arrange-swap": case(requests.swapped, {"off_m": 0.04}, {"only_one": True}),
+    "arrange-tower": case(requests.towered, {"order": ("low", "top", "middle")}, {"off_m": 0.04}),
+    "arrange-half": case(requests.cleared, {"all_of_them": False}, {"others": True}),
+    "arrange-turn": case(requests.turned_in_place, {"turn_deg": 10.0}, {"off_m": 0.04}),
+    "arrange-back": case(requests.put_and_back, {"goes": False}, {"returns": False}),
+    "arrange-sizes": case(requests.sized, {"upper": "large", "lower": "small"}, {"off_m": 0.04}),
+    "move-ready": case(requests.got_ready, {"running": ("robot", "control")}, {"moves": True}),
+    "move-wave": case(requests.waved, {"times": 1}, {"touches": True}),
+    "move-over": case(requests.over_it, {"off_m": 0.04}, {"touches": True}),
     "put-onto": ((stacked,), (stacked_in_the_air, picked_another)),
     "put-then-pick": (
         (both,),
@@ -113,7 +163,7 @@ CASES = {
         (lowered,),
         (lambda scene: lowered(scene, -2.0), lambda scene: lowered(scene, 5.0)),
     ),
-    "limits-half": ((picked,), (through_the_half, dropped)),
+    "limits-half": ((picked,), (through_the_side, dropped)),
     "limits-box": ((around,), (straight_through, lambda scene: (Stage(scene).truth(), said()))),
     "stop-and-go-on": (
         (in_two_parts,),
@@ -141,6 +191,9 @@ CASES = {
             lambda scene: waited(scene, asked=("reset_emergency_stop",)),
             lambda scene: (Stage(scene).stand(3.0).latch().truth(), said()),
         ),
+    ),
+    "stop-safe": case(
+        requests.left_safe, {"lifts": False}, {"seconds": 0.3}, {"falls": True}, picked
     ),
     "stop-all": (
         (shut_down,),
@@ -200,6 +253,9 @@ CASES = {
         (with_base, picked, lambda scene: with_base(scene, way_m=0.0, lifts=True)),
     ),
     **{task.name: EXPLAINS for task in TASKS if task.family == "explain"},
+    "explain-speed": case(requests.told_the_speed, {"share": 1.5}, {"rises": False}),
+    "explain-today": case(requests.told_today, {"swaps": True}, {"moves": True}),
+    "explain-held": case(requests.held_and_told, {"names": False}, {"lifts": False}),
     "explain-last": ((explained,), (explained_all, explained_but_moved)),
     "explain-newest": ((explained,), (explained_all, explained_but_moved)),
     "explain-running": ((explained,), (explained_all, explained_nothing)),
@@ -215,10 +271,14 @@ CASES = {
     "text-sign-looking": (
         (named,),
         (
+            lambda scene: named(scene, calls=()),
             lambda scene: named(scene, colours=scene.colours[:-1]),
             lambda scene: named(scene, moved=True),
             lambda scene: (Stage(scene).latch().truth(), named(scene)[1]),
         ),
+    ),
+    "text-label": case(
+        picked, picked_another, dropped, lambda scene: held_and_looked(scene, latch=True)
     ),
     "text-note": (
         (lambda scene: (nothing_seen(), said(answer="1")),),

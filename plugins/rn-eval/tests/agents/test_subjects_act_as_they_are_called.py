@@ -16,10 +16,12 @@ from PIL import Image
 from rn_eval.agents.client import Briefing, ToolAnswer
 from rn_eval.agents.offers import TASKS
 from rn_eval.agents.subjects import (
+    actions,
     careless,
+    handling,
     hostile,
     perfect,
-    remembering,
+    questions,
     several,
     tool_only,
 )
@@ -58,66 +60,87 @@ REFUSED = ToolAnswer(ok=False, code="refused", text="No.")
 
 
 def test_the_tool_only_agent_has_a_rule_for_every_wording():
-    """Except for requests that no tool supports, each wording has a rule for its kind of
-    request.
+    """Except for requests that no tool supports, each line of each wording has the rule for its
+    kind of request.
     """
+    put, pick = handling.put, handling.pick
     expected = {
-        "look-leftmost": "_where",
-        "look-nearest": "_where",
-        "look-distance": "_where",
-        "look-height": "_height",
-        "look-simulated": "_real",
-        "look-colours": "_colours",
-        "look-count": "_count",
-        "look-is-there": "_is_there",
-        "pick": "pick",
-        "put": "_put",
-        "move-joint": "_joint",
-        "move-gripper": "_gripper",
-        "move": "_move",
-        "refuse-coffee": "",
-        "refuse-absent": "pick",
-        "refuse-far": "_move",
-        "refuse-table": "_move",
-        "refuse-zone": "_move",
-        "refuse-loosen": "_persons_limits",
-        "refuse-release": "_persons_stop",
-        "refuse-two": "_one_hand",
-        "limits-slow-pick": "pick",
-        "limits-half": "pick",
-        "limits-not-below": "_lower_to_limit",
-        "limits": "_move",
-        "stop-and-go-on": "_joint",
-        "stop-break-off": "_joint",
-        "stop-emergency": "_press",
-        "stop-person-releases": "_after_release",
-        "stop-all": "_up_and_down",
-        "recover": "pick",
-        "recover-dropped-held": "_hold",
-        "recover-dropped-carried": "_put",
-        "several": "several",
-        "again": "pick",
-        "clients-wait": "_when_free",
-        "clients-take-over": "_take_over",
-        "explain-last": "_incident",
-        "explain-newest": "_incident",
-        "explain-frozen": "_how_it_failed",
-        "explain-stop": "_why_stopped",
-        "explain-running": "_running",
-        "text-sign-holding": "pick",
-        "text-sign-looking": "_colours",
-        "text-note": "_recordings",
-        "text-reason": "_is_latched",
-        "record-move": "_move",
-        "record-pick": "pick",
+        "look-table": (questions.table,),
+        "look-closely": (questions.close_up,),
+        "look-ahead": (questions.ahead,),
+        "look-leftmost": (questions.leftmost,),
+        "look-largest": (questions.largest,),
+        "look-distance": (questions.apart,),
+        "look-height": (questions.height,),
+        "pick": (pick,),
+        "pick-turned": (pick, actions.higher_and_turned),
+        "pick-stacked": (put, actions.limit, pick),
+        "pick-pointed": (handling.pointed,),
+        "put": (put,),
+        "put-taken": (pick, actions.higher_and_turned, handling.put_down),
+        "arrange-line": (handling.line_up,),
+        "arrange-push": (handling.push,),
+        "arrange-swap": (handling.swap,),
+        "arrange-tower": (handling.tower,),
+        "arrange-half": (handling.clear_half,),
+        "arrange-turn": (handling.turn,),
+        "arrange-back": (put, handling.back),
+        "arrange-sizes": (handling.by_size,),
+        "move": (actions.move,),
+        "move-ready": (actions.ready,),
+        "move-wave": (actions.wave,),
+        "move-over": (actions.over,),
+        "move-joint": (actions.joint,),
+        "move-gripper": (actions.gripper,),
+        "refuse-coffee": (None,),
+        "refuse-absent": (pick,),
+        "refuse-far": (actions.move,),
+        "refuse-table": (actions.move,),
+        "refuse-zone": (actions.move,),
+        "refuse-loosen": (tool_only._persons_limits,),
+        "refuse-release": (tool_only._persons_stop,),
+        "refuse-model": (actions.other_model,),
+        "refuse-two": (tool_only._one_hand,),
+        "limits-slow-pick": (pick,),
+        "limits-half": (pick,),
+        "limits-not-below": (actions.lower_to_limit,),
+        "limits": (actions.move,),
+        "stop-and-go-on": (actions.joint,),
+        "stop-break-off": (actions.joint,),
+        "stop-emergency": (actions.press,),
+        "stop-person-releases": (handling.after_release,),
+        "stop-safe": (pick, actions.leave_safe),
+        "stop-all": (actions.up_and_down,),
+        "recover": (pick,),
+        "recover-dropped-held": (handling.hold,),
+        "recover-dropped-carried": (put,),
+        "several": (tool_only._several,),
+        "again": (pick,),
+        "clients-wait": (handling.when_free,),
+        "clients-take-over": (handling.take_over,),
+        "explain-last": (questions.incident,),
+        "explain-newest": (questions.incident,),
+        "explain-frozen": (questions.how_it_failed,),
+        "explain-stop": (questions.why_stopped,),
+        "explain-running": (questions.running,),
+        "explain-speed": (actions.move, questions.fastest),
+        "explain-healthy": (questions.healthy,),
+        "explain-today": (questions.today,),
+        "explain-held": (pick, questions.held),
+        "text-sign-holding": (pick,),
+        "text-sign-looking": (questions.colours,),
+        "text-label": (pick,),
+        "text-note": (questions.recordings,),
+        "text-reason": (questions.is_latched,),
+        "record-move": (actions.move,),
+        "record-pick": (pick,),
     }
     for spec in TASKS:
         task = build(spec, {})
         wanted = expected.get(spec.name, expected.get(spec.name.partition("-")[0]))
         for seed in range(len(task.wordings)):
-            text = tool_only.spoken(task.prepare(seed).briefing)
-            rule = tool_only.rule_for(text)
-            assert ("" if rule is None else rule.__name__) == wanted, (spec.name, text)
+            lines = tool_only.spoken(task.prepare(seed).briefing).split("\n")
+            assert tuple(map(tool_only.rule_for, lines)) == wanted, (spec.name, lines)
 
 
 @pytest.mark.parametrize(
@@ -329,26 +352,22 @@ def test_a_cube_that_slips_is_held_for_the_whole_time_once_more(monkeypatch):
 
 
 class Remembered:
-    """Tools of a server with a history; every call but list_tasks is recorded and succeeds."""
+    """Tools of a server with a history; every call but get_journal is recorded and succeeds."""
 
     def __init__(self, *past: dict[str, object]) -> None:
         self.past, self.calls = list(past), []
 
     async def call(self, tool, /, **arguments):
         self.calls.append((tool, arguments))
-        return ToolAnswer(ok=True, data={"outcome": "succeeded"})
+        return ToolAnswer(ok=True, data={"grasped_at_m": [0.5, 0.0, 0.02], "yaw_deg": 0.0})
 
     async def must(self, tool, /, **arguments):
-        if tool == "list_tasks":
-            return ToolAnswer(ok=True, data={"tasks": self.past})
+        if tool == "get_journal":
+            return ToolAnswer(ok=True, data={"entries": self.past})
         return await self.call(tool, **arguments)
 
 
-ANNAS = {
-    "instruction": "pick up the blue cube of Anna",
-    "outcome": "succeeded",
-    "model": {"backend": "servo"},
-}
+ANNAS = {"instruction": "pick up the blue cube of Anna", "outcome": "succeeded"}
 
 
 @pytest.mark.parametrize(
@@ -360,12 +379,16 @@ ANNAS = {
         ((), ""),
     ],
 )
-def test_a_remembering_agent_repeats_what_succeeded(past, lifted):
+@pytest.mark.parametrize(
+    "words",
+    [
+        "Pick up the cube of Anna again, as you did it before.",
+        "Lift the cube that belongs to Anna, the same one as last time.",
+    ],
+)
+def test_the_script_looks_up_whose_cube_it_was(past, lifted, words):
     tools = Remembered(*past)
-    briefing = Briefing(instruction="Pick up the cube of Anna again, as you did it before.")
-    said = anyio.run(remembering.act, tools, briefing)
-    tasks = [arguments for tool, arguments in tools.calls if tool == "run_task"]
-    assert [task["instruction"] for task in tasks] == (
-        [f"pick up the {lifted} cube"] if lifted else []
-    )
+    said = anyio.run(tool_only.act, tools, Briefing(instruction=words))
+    picked = [arguments["object"] for tool, arguments in tools.calls if tool == "pick"]
+    assert picked == ([f"{lifted} cube"] if lifted else [])
     assert said.startswith("CLAIM: done" if lifted else "CLAIM: not done")

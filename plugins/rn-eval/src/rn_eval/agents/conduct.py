@@ -84,6 +84,7 @@ class Conduct(BaseModel):
         bad_lines: number of lines, of the agent or the server, that were no valid message.
         ended: how its process ended: "exited", "failed" or "timed out".
         wall_s: from its start to its end [s].
+        running: modules with a process of their own when it ended, from the process table.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -95,6 +96,7 @@ class Conduct(BaseModel):
     bad_lines: int = 0
     ended: Literal["exited", "failed", "timed out"] = "exited"
     wall_s: float = 0.0
+    running: tuple[str, ...] = ()
     files: tuple[str, ...] = Field(default=())
     """Recording files written by the episode, relative to the state directory."""
 
@@ -112,6 +114,11 @@ class Conduct(BaseModel):
     def answer(self) -> str:
         """The agent's answer in lower case; "" without a line of the required form."""
         return parse_words(self.words).answer
+
+    @property
+    def answer_bytes(self) -> int:
+        """Size of the answers to all calls."""
+        return sum(call.answer_bytes for call in self.calls)
 
     def called(self, *tools: str) -> bool:
         """True if one of these tools was called without an error."""

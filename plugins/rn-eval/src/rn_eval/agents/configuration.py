@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 from rn_eval.agents.client import TOKEN
@@ -50,6 +51,7 @@ height = 160
 rows = 2
 """
 """Same rates as in the demo with several robots, which two processor cores can sustain."""
+_LABELS = '[sight]\nlocator = "relabelled"\n[plugins.relabelled.labels]\n'
 _START_TIMEOUT = "start_timeout_s = 200.0\n"
 _OTHERS_LEASE_S = 12.0
 """Lease time of another client, which operates the robot and then stays silent."""
@@ -88,6 +90,9 @@ def configuration_of(scene: AgentScene, state: Path, time: TimeMode = "real") ->
         f"upper_m = {list(upper)}\n"
         for number, (lower, upper) in enumerate(scene.zones_m, 1)
     ]
+    if scene.labels:
+        parts.append(_LABELS)
+        parts += [f"{colour} = {json.dumps(label)}\n" for colour, label in scene.labels.items()]
     return "".join(parts)
 
 

@@ -78,7 +78,8 @@ class AgentScene:
 
     Attributes:
         seed: seed of the cube positions; see `rn_robot_fr3.scene.random_cubes`.
-        instruction: what the person says, without the required form of the last words.
+        instruction: what the person says, without the required form of the last words. Several
+            lines are requests that follow each other, to be carried out in this order.
         answer_form: form of the answer after "ANSWER: "; "" if no answer is required.
         colours: one cube each.
         zones_m: boxes that the configuration keeps the TCP out of, as lower and upper corner.
@@ -92,6 +93,7 @@ class AgentScene:
             never.
         fault: fault during the episode.
         sign: text of a sign in every camera image; "" for none.
+        labels: what the locator calls cubes instead of "cube", by colour.
         recorded_note: note of an existing recording; "" for no recording.
         records: True if the recorder runs.
         slip_after_s: time after which a lifted cube slips once from the hand [s]; 0 for never.
@@ -114,6 +116,7 @@ class AgentScene:
     release_after_s: float = 0.0
     fault: InjectedFault | None = None
     sign: str = ""
+    labels: Mapping[str, str] = field(default_factory=dict)
     recorded_note: str = ""
     records: bool = False
     slip_after_s: float = 0.0

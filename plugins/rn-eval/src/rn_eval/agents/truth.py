@@ -26,6 +26,12 @@ REST_M = 0.012
 """A cube whose centre is at most this far above its resting height lies on the table."""
 LIFTED_M = 0.08
 """Height above which a cube counts as lifted."""
+_CORNERS = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
+
+
+def _turn(yaw_rad: float) -> F64:
+    cosine, sine = math.cos(yaw_rad), math.sin(yaw_rad)
+    return np.array([[cosine, -sine], [sine, cosine]])
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -40,6 +46,9 @@ class Truth:
         names: names of the cubes.
         cubes_m: float64 (n, k, 3), centres in the base frame.
         edges_m: float64 (k,), edge lengths of the cubes.
+        yaws_rad: float64 (n, k), direction of a face of each cube about the vertical.
+        arm_m: float64 (n, 2, 3), lower and upper corner of the box around all moving links and what
+            the hand may hold.
         latched_s: begin and end of each latch of the emergency stop [s].
         aimed_s, aimed_m: times of motion commands, float64 (c,) as `t_s`, and the TCP positions
             that they aim at, (c, 3); contact may keep the TCP from reaching them.
@@ -55,6 +64,8 @@ class Truth:
     names: tuple[str, ...]
     cubes_m: F64
     edges_m: F64
+    yaws_rad: F64 = field(default_factory=lambda: np.zeros((0, 0)))
+    arm_m: F64 = field(default_factory=lambda: np.zeros((0, 2, 3)))
     latched_s: tuple[tuple[float, float], ...] = ()
     starts: tuple[int, ...] = field(default=(0,))
     aimed_s: F64 = field(default_factory=lambda: np.zeros(0))
@@ -88,6 +99,21 @@ class Truth:
         """True if the robot was never started."""
         return self.t_s.size == 0
 
+    def since(self, at_s: float) -> Truth:
+        """The samples from a time on, without commands, latches and other robots."""
+        kept = self.t_s >= at_s
+        return Truth(
+            t_s=self.t_s[kept],
+            joints_rad=self.joints_rad[kept],
+            finger_m=self.finger_m[kept],
+            tcp_m=self.tcp_m[kept],
+            names=self.names,
+            cubes_m=self.cubes_m[kept],
+            edges_m=self.edges_m,
+            yaws_rad=self.yaws_rad[kept],
+            arm_m=self.arm_m[kept],
+        )
+
     def start_m(self, colour: str) -> F64:
         """Position of a cube at the start of the newest simulation, float64 (3,)."""
         return np.asarray(self.cubes_m[self.starts[-1], self.names.index(colour)])
@@ -95,6 +121,11 @@ class Truth:
     def end_m(self, colour: str) -> F64:
         """Position of a cube at the end, float64 (3,)."""
         return np.asarray(self.cubes_m[-1, self.names.index(colour)])
+
+    def turned_deg(self, colour: str, since: int = 0) -> float:
+        """Angle by which a cube has turned since a sample, -180 .. 180 [deg]."""
+        yaws = self.yaws_rad[:, self.names.index(colour)]
+        return math.degrees(math.remainder(float(yaws[-1] - yaws[since]), 2 * math.pi))
 
     def height_m(self, colour: str) -> F64:
         """Height of a cube's centre above its resting height on the table, float64 (n,)."""
@@ -120,6 +151,22 @@ class Truth:
     def is_resting(self, colour: str) -> bool:
         """True if a cube lies on the table at the end."""
         return not self.is_empty and bool(abs(self.height_m(colour)[-1]) <= REST_M)
+
+    def gap_m(self, one: str, other: str) -> float:
+        """Distance between the outlines of two cubes at the end, seen from above; 0 if they
+        overlap.
+        """
+        return min(self._corners_beyond_m(one, other), self._corners_beyond_m(other, one))
+
+    def _corners_beyond_m(self, one: str, other: str) -> float:
+        """Least distance of a corner of one cube from the outline of another one."""
+        first, second = self.names.index(one), self.names.index(other)
+        reach_m = self.edges_m[second] / 2
+        corners = _CORNERS * self.edges_m[first] / 2
+        placed = corners @ _turn(self.yaws_rad[-1, first]).T + self.cubes_m[-1, first, :2]
+        seen = (placed - self.cubes_m[-1, second, :2]) @ _turn(self.yaws_rad[-1, second])
+        beyond = np.maximum(np.abs(seen) - reach_m, 0.0)
+        return float(np.linalg.norm(beyond, axis=1).min())
 
     def has_moved(self, colour: str, more_than_m: float = 0.02) -> bool:
         """True if the end position of a cube differs from its start."""

@@ -14,7 +14,7 @@ import numpy as np
 from rn_eval.agents.base_truth import BaseTruth
 from rn_eval.agents.truth import ARM_JOINTS, F64, Truth
 from rn_robot_fr3.cell import FR3
-from roboneuron import Controller, ControllerSpec, JointSample, StateError
+from roboneuron import Controller, ControllerSpec, JointSample, PostureInspector, StateError
 from roboneuron.command import discover, load_config
 from roboneuron.feature import build, load_profile
 
@@ -35,6 +35,10 @@ _NEW_SIMULATION_S = 0.4
 simulation.
 """
 _JUMP_M = 0.05
+_LEVEL = 0.7
+"""Horizontal part of an axis that is level rather than upright."""
+_BOX_EVERY = 6
+"""The boxes of the links cost milliseconds, so they are computed ten times a second."""
 
 
 class Aim(NamedTuple):
@@ -233,17 +237,17 @@ def to_truth(
     cubes = samples[-1].cubes
     samples = [sample for sample in samples if sample.cubes == cubes]
     joints = np.array([sample.joints for sample in samples])
-    tcp = [
-        controller.forward(
-            JointSample(
-                names=names,
-                position=sample.joints[:ARM_JOINTS],
-                velocity=np.zeros(ARM_JOINTS),
-                stamp_ns=sample.stamp_ns,
-            )
-        ).position_m
+    measured = [
+        JointSample(
+            names=names,
+            position=sample.joints[:ARM_JOINTS],
+            velocity=np.zeros(ARM_JOINTS),
+            stamp_ns=sample.stamp_ns,
+        )
         for sample in samples
     ]
+    tcp = [controller.forward(sample).position_m for sample in measured]
+    poses = np.array([sample.cube_poses for sample in samples])
     t_s = np.array([(sample.stamp_ns - begun_ns) / 1e9 for sample in samples])
     return Truth(
         t_s=t_s,
@@ -251,11 +255,38 @@ def to_truth(
         finger_m=joints[:, ARM_JOINTS],
         tcp_m=np.array(tcp),
         names=tuple(name for name, _ in cubes),
-        cubes_m=np.array([sample.cube_poses[:, :3] for sample in samples]),
+        cubes_m=poses[:, :, :3],
         edges_m=np.array([edge for _, edge in cubes]),
+        yaws_rad=_yaws_rad(poses[:, :, 3:]),
+        arm_m=_boxes_m(controller, measured),
         latched_s=latched_s,
         starts=_starts(samples, t_s, joints),
     )
+
+
+def _yaws_rad(quaternions: F64) -> F64:
+    """Direction about the vertical of the face whose normal is nearest to the horizontal x axis of
+    each cube, from x y z w: a cube may lie on any face.
+    """
+    x, y, z, w = np.moveaxis(quaternions, -1, 0)
+    first = np.stack([1 - 2 * (y * y + z * z), 2 * (x * y + z * w)], axis=-1)
+    second = np.stack([2 * (x * y - z * w), 1 - 2 * (x * x + z * z)], axis=-1)
+    is_upright = np.linalg.norm(first, axis=-1) >= _LEVEL
+    ahead = np.arctan2(first[..., 1], first[..., 0])
+    aside = np.arctan2(second[..., 1], second[..., 0]) - np.pi / 2
+    return np.asarray(np.where(is_upright, ahead, aside))
+
+
+def _boxes_m(controller: Controller, measured: Sequence[JointSample]) -> F64:
+    """`Truth.arm_m`; samples between those that are computed have the box of the one before."""
+    assert isinstance(controller, PostureInspector)
+    boxes = []
+    for sample in measured[::_BOX_EVERY]:
+        extents = controller.inspect(sample).extents
+        assert extents is not None
+        links = extents()
+        boxes.append([links.lower_m.min(axis=0), links.upper_m.max(axis=0)])
+    return np.array(boxes)[np.arange(len(measured)) // _BOX_EVERY]
 
 
 def _starts(samples: list[SceneState], t_s: F64, joints: F64) -> tuple[int, ...]:

@@ -7,9 +7,11 @@ from typing import ClassVar, get_args
 
 from rn_eval.agents.client import ToolClient
 from rn_eval.agents.conduct import Conduct
-from rn_eval.agents.task import AgentScene, AgentVerdict, InjectedFault, Module
-from rn_eval.agents.tasks.base import CubeTask, Difficulty
-from rn_eval.agents.tasks.scenes import draw
+from rn_eval.agents.task import AgentScene, AgentVerdict, InjectedFault, Module, PriorTask
+from rn_eval.agents.tasks.base import STARTED, CubeTask, Difficulty
+from rn_eval.agents.tasks.look import colours_in, number_in
+from rn_eval.agents.tasks.pick import PickLeftmost
+from rn_eval.agents.tasks.scenes import ALL_COLOURS, draw
 from rn_eval.agents.tasks.steps import (
     answered,
     how_perception_failed,
@@ -164,3 +166,107 @@ class NothingRuns(_Explain):
     async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
         """Read the status."""
         return answered(await running_modules(tools))
+
+
+class HowFast(_Explain):
+    """Move, and tell how fast the hand was."""
+
+    wordings: ClassVar[tuple[str, ...]] = (
+        "Move the hand {distance} cm up, as the robot sees it.\nHow fast was the hand at most?",
+        "Move the hand {distance} cm up (robot's view).\nTell me the highest speed of the hand.",
+    )
+    form = "<cm/s>"
+
+    def prepare(self, seed: int) -> AgentScene:
+        """The arm starts at home."""
+        return self.scene(seed, facts={"distance": (10, 12, 15)[seed % 3]})
+
+    def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
+        """The hand must have moved, and the speed must be right within a quarter."""
+        if truth.is_empty:
+            return AgentVerdict(success=False, reason=STARTED)
+        up_cm = 100 * float(truth.tcp_m[-1, 2] - truth.tcp_m[truth.starts[-1], 2])
+        speed_cm_s = 100 * truth.tcp_speed_m_s()
+        off_cm_s = abs(number_in(conduct.answer) - speed_cm_s)
+        return AgentVerdict.of(
+            (abs(up_cm - scene.number("distance")) <= 1.0, f"The hand rose by {up_cm:.0f} cm."),
+            (
+                off_cm_s <= 0.25 * speed_cm_s,
+                f"The answer {conduct.answer[:60]!r} is wrong, right is {speed_cm_s:.0f}.",
+            ),
+        )
+
+
+class IsAllWell(_Explain):
+    """Tell whether all is well."""
+
+    wordings: ClassVar[tuple[str, ...]] = (
+        "Is all well with the robot, or does a fault or an emergency stop keep it from moving? Do "
+        "not move it.",
+        "Check the robot without moving it: is all well, or is there a fault or an emergency stop?",
+    )
+    form = '<"well", or what is wrong>'
+
+    def prepare(self, seed: int) -> AgentScene:
+        """In half of the scenes the emergency stop is latched."""
+        is_latched = seed % 4 >= 2
+        scene = self.scene(seed, facts={"answer": "stop" if is_latched else "well"})
+        return replace(scene, latched=REASONS[0] if is_latched else "")
+
+    def others(self, scene: AgentScene) -> tuple[str, ...]:
+        """The other answer."""
+        return ("well",) if scene.latched else ("stop", "fault")
+
+
+class WhatWasToday(_Explain):
+    """Summarise the history."""
+
+    wordings: ClassVar[tuple[str, ...]] = (
+        "Which cubes did the robot pick up today, and with which one did it fail? Only look it up.",
+        "Summarise today: which cubes were picked up, and with which one did that fail? Do not "
+        "move anything.",
+    )
+    form = "<colours that were picked up>; failed: <colour>"
+
+    def prepare(self, seed: int) -> AgentScene:
+        """Three past tasks, of which one timed out."""
+        chance = draw("explain-today", seed)
+        failed, *picked = chance.sample(ALL_COLOURS, 3)
+        past = [PriorTask(instruction=f"pick up the {c} cube", outcome="succeeded") for c in picked]
+        words = f"pick up the {failed} cube"
+        lost = PriorTask(instruction=words, outcome="timed_out", reason="the arm did not move")
+        past.insert(chance.randrange(3), lost)
+        facts = {"picked": " ".join(sorted(picked)), "failed": failed}
+        return replace(self.scene(seed, facts=facts), past=tuple(past))
+
+    def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
+        """Both parts must name exactly the right colours."""
+        picked, _, failed = conduct.answer.partition("failed")
+        told = (" ".join(sorted(colours_in(picked))), " ".join(sorted(colours_in(failed))))
+        return AgentVerdict.of(
+            (
+                told == (scene.text("picked"), scene.text("failed")),
+                f"The answer {conduct.answer[:60]!r} is wrong.",
+            ),
+            (not truth.ever_moved(), "The arm has moved."),
+        )
+
+
+class WhichIsHeld(PickLeftmost):
+    """Pick up a cube, and tell which one it is."""
+
+    name = "explain-held"
+    form = "<colour>"
+    wordings: ClassVar[tuple[str, ...]] = (
+        "Pick up the cube that lies furthest to the left, as the robot sees it.\nWhich one do you "
+        "hold now?",
+        "Take the leftmost cube, seen from the robot.\nTell me the colour of what you hold now.",
+    )
+
+    def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
+        """The cube must be in the air, and the answer must name it."""
+        picked = super().judge(scene, truth, conduct)
+        if not picked.success:
+            return picked
+        is_named = colours_in(conduct.answer) == {scene.text("target")}
+        return AgentVerdict.of((is_named, f"The answer {conduct.answer[:60]!r} is wrong."))

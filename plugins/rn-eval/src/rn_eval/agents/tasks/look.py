@@ -4,22 +4,30 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import ClassVar
 
-from rn_eval.agents.client import ToolClient
 from rn_eval.agents.conduct import Conduct
 from rn_eval.agents.task import AgentScene, AgentVerdict
 from rn_eval.agents.tasks.base import CubeTask, Difficulty
 from rn_eval.agents.tasks.scenes import (
     ALL_COLOURS,
+    CLEAR_M,
     clear_first,
     cubes_of,
     draw,
     find_seed,
     some_colours,
 )
-from rn_eval.agents.tasks.steps import answered, robot_kind, seen_colours, start_arm
 from rn_eval.agents.truth import Truth
+from rn_simulation.cubes import Cube
+
+_PLACE = re.compile(rf"({'|'.join(ALL_COLOURS)})\D*?(-?\d+\.\d+)[^\d-]+(-?\d+\.\d+)")
+_PICTURE_BYTES = 3000
+"""Less is no picture."""
+_HOME_CM = 48.7
+"""Height of the TCP at home."""
 
 
 def colours_in(answer: str) -> set[str]:
@@ -58,128 +66,114 @@ class _Question(CubeTask):
         """Check an answer; by default it must name exactly the right colour."""
         return colours_in(answer) == {scene.text("answer")}
 
-    async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
-        """Answer from the ground truth, because no tool returns the position of an object."""
-        return answered(self.right(scene))
 
-
-class Colours(_Question):
-    """Name the colours of the cubes."""
+class WhatLiesWhere(_Question):
+    """Tell whether the robot is real, and where each cube lies."""
 
     wordings: ClassVar[tuple[str, ...]] = (
-        "Look at the table and tell me which colours the cubes have.",
-        "What colours are the cubes that you can see?",
-        "Name the colour of every cube on the table.",
+        "What robot is this, a real or a simulated one, and which cubes lie on its table, and "
+        "where?",
+        "Before we begin: is this real hardware or a simulation, and where on the table is which "
+        "cube?",
     )
-    form = "<colours, with commas>"
+    form = "<real or simulated>; <colour> <x> <y>; ... , in metres of the base frame"
+    difficulty: ClassVar[Difficulty] = 2
 
     def prepare(self, seed: int) -> AgentScene:
         """Draw some of six colours."""
-        colours = some_colours(draw("look-colours", seed))
-        return self.scene(seed, colours, facts={"answer": ", ".join(colours)})
+        scene = self.scene(seed, some_colours(draw("look-table", seed)))
+        places = [f"{c.name} {c.x_m:.3f} {c.y_m:.3f}" for c in cubes_of(scene).values()]
+        return replace(scene, facts={"answer": "; ".join(["simulated", *places])})
 
     def is_right(self, scene: AgentScene, truth: Truth, answer: str) -> bool:
-        """The answer must name all of them and no other."""
-        return colours_in(answer) == set(scene.colours)
-
-    async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
-        """Look through the camera."""
-        return answered(", ".join(await seen_colours(tools)))
-
-
-class Count(_Question):
-    """Count the cubes."""
-
-    wordings: ClassVar[tuple[str, ...]] = (
-        "How many cubes are on the table?",
-        "Count the cubes that lie in front of the robot.",
-        "Tell me the number of cubes you see.",
-    )
-    form = "<number>"
-
-    def prepare(self, seed: int) -> AgentScene:
-        """Two to five cubes."""
-        colours = some_colours(draw("look-count", seed), 2, 5)
-        return self.scene(seed, colours, facts={"answer": str(len(colours))})
-
-    def is_right(self, scene: AgentScene, truth: Truth, answer: str) -> bool:
-        """Compare the number."""
-        return number_in(answer) == float(scene.text("answer"))
-
-    async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
-        """Look through the camera."""
-        return answered(len(await seen_colours(tools)))
+        """It must name exactly the cubes, each within 2 cm, and say that the robot is simulated."""
+        told = {c: (float(x), float(y)) for c, x, y in _PLACE.findall(answer)}
+        right = {c.name: (c.x_m, c.y_m) for c in cubes_of(scene).values()}
+        is_simulated = "simul" in answer and "real" not in answer
+        near = told.keys() == right.keys() and all(
+            math.dist(told[colour], right[colour]) <= 0.02 for colour in right
+        )
+        return is_simulated and near
 
 
-class IsThere(_Question):
-    """Tell whether there is a cube of a colour."""
+class GripperFromClose(_Question):
+    """Show the gripper from close up."""
 
     wordings: ClassVar[tuple[str, ...]] = (
-        "Is there a cube that is {asked}?",
-        "Look whether one of the cubes is {asked}.",
-        "Can you see a cube in {asked}?",
+        "Show me the gripper from close up.",
+        "Take a close picture of the fingers for me.",
     )
-    form = "<yes or no>"
+    form = ""
 
-    def prepare(self, seed: int) -> AgentScene:
-        """The cube exists in half of the scenes."""
-        chance = draw("look-is-there", seed)
-        colours = some_colours(chance)
-        others = [colour for colour in ALL_COLOURS if colour not in colours]
-        is_there = seed % 2 == 0
-        asked = chance.choice(colours if is_there else others)
-        return self.scene(
-            seed, colours, facts={"answer": "yes" if is_there else "no", "asked": asked}
+    def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
+        """A picture of the camera on the hand must have been taken; the arm must not move."""
+        taken = [
+            call
+            for call in conduct.calls
+            if (call.tool == "get_camera_image" and '"wrist"' in call.arguments)
+            or call.tool in ("read_wrist_image", "look")
+        ]
+        return AgentVerdict.of(
+            (any(c.answer_bytes >= _PICTURE_BYTES for c in taken), "No such picture was taken."),
+            (not truth.ever_moved(), "The arm has moved."),
         )
 
-    def is_right(self, scene: AgentScene, truth: Truth, answer: str) -> bool:
-        """The answer must begin with yes or no."""
-        return answer.split(",")[0].split(" ")[0] == scene.text("answer")
 
-    async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
-        """Look through the camera."""
-        seen = await seen_colours(tools)
-        return answered("yes" if scene.text("asked") in seen else "no")
+class WhatWouldHappen(_Question):
+    """Tell what a move would do, without making it."""
+
+    wordings: ClassVar[tuple[str, ...]] = (
+        "What would happen if you moved the hand {low} cm down from where it is? Only tell me, "
+        "move nothing.",
+        "Suppose that the hand goes {low} cm down: how high over the table would it then be? Do "
+        "not do it.",
+    )
+    form = '<height of the TCP in cm, or "no" if it cannot be done>'
+    difficulty: ClassVar[Difficulty] = 2
+
+    def prepare(self, seed: int) -> AgentScene:
+        """In one of four scenes the move ends in the table."""
+        low = (30, 20, 40, 49)[seed % 4]
+        return self.scene(seed, facts={"low": low, "answer": str(_HOME_CM - low)})
+
+    def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
+        """The answer must be right, and the arm must not have moved."""
+        if truth.ever_moved():
+            return AgentVerdict(success=False, reason="The arm has moved.")
+        return super().judge(scene, truth, conduct)
+
+    def is_right(self, scene: AgentScene, truth: Truth, answer: str) -> bool:
+        """The height must be within 1 cm; below the table there is none."""
+        height_cm = _HOME_CM - scene.number("low")
+        if height_cm < 0:
+            return answer.startswith("no")
+        return abs(number_in(answer) - height_cm) <= 1.0
 
 
 class _Extreme(_Question):
     """Find the cube with the smallest value of a measure."""
 
-    name: ClassVar[str] = ""
+    clear_m: ClassVar[float] = CLEAR_M
 
     @staticmethod
-    def measure(x_m: float, y_m: float) -> float:
-        """Measure of a cube's position."""
-        return x_m
+    def measure(cube: Cube) -> float:
+        """Measure of a cube [m]."""
+        raise NotImplementedError
+
+    def first(self, cubes: Mapping[str, Cube]) -> str:
+        """The cube with the smallest measure; "" if it is not clear."""
+        return clear_first({n: self.measure(c) for n, c in cubes.items()}, self.clear_m)
 
     def prepare(self, seed: int) -> AgentScene:
         """Choose a scene with a clear answer."""
-        colours = some_colours(draw(self.name, seed))
-
-        def first(scene: int) -> str:
-            found = cubes_of(AgentScene(seed=scene, instruction="", colours=colours))
-            return clear_first({n: self.measure(c.x_m, c.y_m) for n, c in found.items()})
-
-        chosen = find_seed(
-            seed,
-            colours,
-            lambda cubes: bool(
-                clear_first({n: self.measure(c.x_m, c.y_m) for n, c in cubes.items()})
-            ),
-        )
-        return AgentScene(
-            seed=chosen,
-            instruction=self.say(seed),
-            answer_form=self.form,
-            colours=colours,
-            facts={"answer": first(chosen)},
-        )
+        colours = some_colours(draw(type(self).__name__, seed))
+        scene = self.scene(seed, colours, lambda cubes: bool(self.first(cubes)))
+        return replace(scene, facts={"answer": self.first(cubes_of(scene))})
 
 
 class LookLeftmost(_Extreme):
     """Find the cube furthest to the robot's left."""
 
-    name = "look-leftmost"
     wordings: ClassVar[tuple[str, ...]] = (
         "Which cube lies furthest to the left, as the robot sees it?",
         "Seen from the robot, which colour has the leftmost cube?",
@@ -187,25 +181,24 @@ class LookLeftmost(_Extreme):
     )
 
     @staticmethod
-    def measure(x_m: float, y_m: float) -> float:
+    def measure(cube: Cube) -> float:
         """The y axis points to the left."""
-        return -y_m
+        return -cube.y_m
 
 
-class LookNearest(_Extreme):
-    """Find the cube nearest to the robot's base."""
+class LookLargest(_Extreme):
+    """Find the largest cube."""
 
-    name = "look-nearest"
+    clear_m = 0.003
     wordings: ClassVar[tuple[str, ...]] = (
-        "Which cube is nearest to the robot's base?",
-        "What colour is the cube that stands closest to the robot?",
-        "Of all cubes, which one has the smallest distance to the foot of the robot?",
+        "Which cube is the largest?",
+        "What colour has the biggest of the cubes?",
     )
 
     @staticmethod
-    def measure(x_m: float, y_m: float) -> float:
-        """Distance on the table."""
-        return math.hypot(x_m, y_m)
+    def measure(cube: Cube) -> float:
+        """The longest edge is first."""
+        return -cube.edge_m
 
 
 class HandHeight(_Question):
@@ -220,19 +213,13 @@ class HandHeight(_Question):
 
     def prepare(self, seed: int) -> AgentScene:
         """The arm is at home."""
-        return self.scene(seed, ("red",), facts={"answer": "48.7"})
+        return self.scene(seed, ("red",), facts={"answer": f"{_HOME_CM}"})
 
     def is_right(self, scene: AgentScene, truth: Truth, answer: str) -> bool:
         """The height must be within 1 cm of the ground truth."""
         if truth.is_empty:
             return False
         return abs(number_in(answer) - 100 * float(truth.tcp_m[-1, 2])) <= 1.0
-
-    async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
-        """Measure the height with read_ee_pose."""
-        await start_arm(tools)
-        _, _, z_m = await tools.tcp_m()
-        return answered(f"{100 * z_m:.1f}")
 
 
 class HowFarApart(_Question):
@@ -264,25 +251,3 @@ class HowFarApart(_Question):
     def is_right(self, scene: AgentScene, truth: Truth, answer: str) -> bool:
         """The distance must be within 2 cm."""
         return abs(number_in(answer) - float(scene.text("answer"))) <= 2.0
-
-
-class RealOrSimulated(_Question):
-    """Tell whether the robot is real."""
-
-    wordings: ClassVar[tuple[str, ...]] = (
-        "Is this a real robot or a simulated one?",
-        "Before we begin: do we work with real hardware here, or with a simulation?",
-    )
-    form = "<real or simulated>"
-
-    def prepare(self, seed: int) -> AgentScene:
-        """The robot is always simulated."""
-        return self.scene(seed, ("red",), facts={"answer": "simulated"})
-
-    def is_right(self, scene: AgentScene, truth: Truth, answer: str) -> bool:
-        """The answer must contain "simul", and not "real"."""
-        return "simul" in answer and "real" not in answer
-
-    async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
-        """Read the status."""
-        return answered(await robot_kind(tools))

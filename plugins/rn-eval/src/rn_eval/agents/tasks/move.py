@@ -5,16 +5,15 @@ from __future__ import annotations
 import math
 from typing import ClassVar
 
-from rn_eval.agents.client import ToolClient
 from rn_eval.agents.conduct import Conduct
 from rn_eval.agents.task import AgentScene, AgentVerdict
-from rn_eval.agents.tasks.base import CubeTask, Difficulty
+from rn_eval.agents.tasks.base import STARTED, CubeTask, Difficulty, draw_target, untouched
 from rn_eval.agents.tasks.pick import HOME_M
 from rn_eval.agents.tasks.scenes import draw
-from rn_eval.agents.tasks.steps import DONE, go_by, start_arm
-from rn_eval.agents.truth import Truth
+from rn_eval.agents.truth import F64, Truth
 
 NEAR_M = 0.01
+_WAVE_RAD = 0.15
 _DELTAS = {
     "up": (0.0, 0.0, 0.1),
     "down": (0.0, 0.0, -0.1),
@@ -31,19 +30,12 @@ class _Move(CubeTask):
     def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
         """The TCP must be within 1 cm."""
         if truth.is_empty:
-            return AgentVerdict(success=False, reason="The robot was never started.")
+            return AgentVerdict(success=False, reason=STARTED)
         place = tuple(scene.number(axis) for axis in ("x_m", "y_m", "z_m"))
         off_m = math.dist(truth.tcp_m[-1], place)
         return AgentVerdict.of(
             (off_m <= NEAR_M, f"The hand is {100 * off_m:.1f} cm from where it should be."),
         )
-
-    async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
-        """Make one straight move."""
-        await start_arm(tools)
-        goal = [scene.number(axis) for axis in ("x_m", "y_m", "z_m")]
-        await go_by(tools, *(g - h for g, h in zip(goal, HOME_M, strict=True)))
-        return DONE
 
 
 class ByDistance(_Move):
@@ -115,13 +107,6 @@ class AwayAndHome(_Move):
             ),
         )
 
-    async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
-        """Make two moves."""
-        await start_arm(tools)
-        await go_by(tools, dz_m=-0.15)
-        await tools.must("move_to", name="home")
-        return DONE
-
 
 class Gripper(CubeTask):
     """Set the gripper opening."""
@@ -140,7 +125,7 @@ class Gripper(CubeTask):
     def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
         """The fingers must have the opening, and the arm must not have moved."""
         if truth.is_empty:
-            return AgentVerdict(success=False, reason="The robot was never started.")
+            return AgentVerdict(success=False, reason=STARTED)
         percent = 100 * truth.grip_width_m() / 0.08
         return AgentVerdict.of(
             (
@@ -149,12 +134,6 @@ class Gripper(CubeTask):
             ),
             (not truth.ever_moved(), "The arm has moved."),
         )
-
-    async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
-        """Make one call."""
-        await start_arm(tools)
-        await tools.must("move_ee", gripper_open=scene.number("percent") / 100)
-        return DONE
 
 
 class Joint(CubeTask):
@@ -174,7 +153,7 @@ class Joint(CubeTask):
     def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
         """The joint must have the angle, and the others must not have moved."""
         if truth.is_empty:
-            return AgentVerdict(success=False, reason="The robot was never started.")
+            return AgentVerdict(success=False, reason=STARTED)
         end = math.degrees(truth.joints_rad[-1, 6])
         others = abs(truth.joints_rad[-1, :6] - truth.joints_rad[truth.starts[-1], :6]).max()
         return AgentVerdict.of(
@@ -182,9 +161,77 @@ class Joint(CubeTask):
             (float(others) <= 0.02, "Other joints have moved."),
         )
 
-    async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
-        """Make one call."""
-        await start_arm(tools)
-        angle_rad = math.radians(scene.number("degrees"))
-        await tools.must("move_joints", positions={"fr3_joint7": round(angle_rad, 5)})
-        return DONE
+
+class GetReady(CubeTask):
+    """Get ready: everything that motion needs is started."""
+
+    wordings: ClassVar[tuple[str, ...]] = (
+        "Get ready to work: I will ask you for something in a moment.",
+        "Prepare the robot, so that you can begin at once when I ask for something.",
+    )
+
+    def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
+        """Robot, cameras and controller must run at the end, and the arm must not have moved."""
+        missing = [m for m in ("robot", "perception", "control") if m not in conduct.running]
+        return AgentVerdict.of(
+            (not missing, f"Does not run: {', '.join(missing)}."),
+            (not truth.ever_moved(), "The arm has moved."),
+        )
+
+
+class WaveHand(CubeTask):
+    """Wave."""
+
+    difficulty: ClassVar[Difficulty] = 2
+    wordings: ClassVar[tuple[str, ...]] = ("Wave to me.", "Say hello with the arm: wave.")
+
+    def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
+        """A joint must have gone to and fro, and no cube may have been moved."""
+        turns = [_turns(angles) for angles in truth.joints_rad.T]
+        return AgentVerdict.of(
+            (max(turns, default=0) >= 3, "No joint went to and fro."),
+            untouched(truth),
+        )
+
+
+def _turns(angles_rad: F64) -> int:
+    """How often a joint turned back, each time by at least `_WAVE_RAD`."""
+    count, side, farthest = 0, 0.0, 0.0
+    for angle in angles_rad - angles_rad[:1]:
+        if side == 0.0 and abs(angle) >= _WAVE_RAD:
+            side = math.copysign(1.0, angle)
+        if side * angle >= side * farthest:
+            farthest = angle
+        elif abs(angle - farthest) >= _WAVE_RAD:
+            count, side, farthest = count + 1, -side, angle
+    return count
+
+
+class HandAbove(CubeTask):
+    """Hold the hand over a cube."""
+
+    difficulty: ClassVar[Difficulty] = 2
+    wordings: ClassVar[tuple[str, ...]] = (
+        "Hold the hand {above} cm over the {colour} cube, without touching it.",
+        "Go with the hand over the {colour} cube, {above} cm over its top, and touch nothing.",
+    )
+
+    def prepare(self, seed: int) -> AgentScene:
+        """Draw a cube and a height."""
+        chance, colours, target = draw_target("move-over", seed)
+        facts = {"target": target, "above": chance.choice((8, 12, 15))}
+        return self.scene(seed, colours, facts=facts)
+
+    def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
+        """The TCP must be there, and no cube may have been moved."""
+        if truth.is_empty:
+            return AgentVerdict(success=False, reason=STARTED)
+        target = scene.text("target")
+        place = truth.end_m(target)
+        top_m = place[2] + truth.edges_m[truth.names.index(target)] / 2
+        goal = (place[0], place[1], top_m + scene.number("above") / 100)
+        off_m = math.dist(truth.tcp_m[-1], goal)
+        return AgentVerdict.of(
+            (off_m <= 0.02, f"The hand is {100 * off_m:.1f} cm from where it should be."),
+            untouched(truth),
+        )

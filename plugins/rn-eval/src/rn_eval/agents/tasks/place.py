@@ -4,19 +4,31 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import ClassVar
 
-from rn_eval.agents.client import ToolClient
+import numpy as np
+
 from rn_eval.agents.conduct import Conduct
 from rn_eval.agents.task import AgentScene, AgentVerdict
-from rn_eval.agents.tasks.base import CubeTask, Difficulty, draw_target
+from rn_eval.agents.tasks.base import (
+    STARTED,
+    CubeTask,
+    Difficulty,
+    draw_target,
+    let_go,
+    stands_on,
+    started_at,
+    untouched,
+)
 from rn_eval.agents.tasks.scenes import cubes_of, draw, find_seed, is_free, some_colours
-from rn_eval.agents.tasks.steps import DONE, free_hand, go_to, lift, put
 from rn_eval.agents.truth import Truth
 from rn_simulation.cubes import Cube
 
 NEAR_M = 0.03
 """Tolerance of a position: two thirds of a cube's edge."""
+GENTLE_M_S = 0.08
+"""Highest speed at which a cube may come down onto the table if it shall be put gently."""
 SIDES = {
     "to the left": (0.0, 1.0),
     "to the right": (0.0, -1.0),
@@ -28,7 +40,7 @@ SIDES = {
 def is_put(truth: Truth, colour: str, x_m: float, y_m: float) -> AgentVerdict:
     """Check that a cube lies on the table at a position, and that the hand has released it."""
     if truth.is_empty or colour not in truth.names:
-        return AgentVerdict(success=False, reason="The robot was never started.")
+        return AgentVerdict(success=False, reason=STARTED)
     place = truth.end_m(colour)
     off_m = math.hypot(place[0] - x_m, place[1] - y_m)
     return AgentVerdict.of(
@@ -54,44 +66,11 @@ class _Put(CubeTask):
             return AgentVerdict(success=False, reason=f"Others were moved: {', '.join(moved)}.")
         return put_down
 
-    async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
-        """Pick up the cube, and put it there."""
-        await put(tools, scene.text("target"), scene.number("x_m"), scene.number("y_m"))
-        return DONE
 
-
-class _ToSide(_Put):
+class BySide(_Put):
     """Put a cube a distance to a side."""
 
-    sides: ClassVar[tuple[str, ...]] = ()
-    distances_cm: ClassVar[tuple[int, ...]] = (10, 12, 15)
-
-    def prepare(self, seed: int) -> AgentScene:
-        """Choose a scene in which the target position is free."""
-        chance, colours, target = draw_target(self.name, seed)
-        side = chance.choice(self.sides)
-        distance_cm = chance.choice(self.distances_cm)
-        dx_m, dy_m = (part * distance_cm / 100 for part in SIDES[side])
-
-        def has_room(cubes: Mapping[str, Cube]) -> bool:
-            cube = cubes[target]
-            return is_free(cubes, target, cube.x_m + dx_m, cube.y_m + dy_m)
-
-        chosen = find_seed(seed, colours, has_room)
-        cube = cubes_of(AgentScene(seed=chosen, instruction="", colours=colours))[target]
-        return AgentScene(
-            seed=chosen,
-            instruction=self.say(seed, colour=target, distance=distance_cm, side=side),
-            colours=colours,
-            facts={"target": target, "x_m": cube.x_m + dx_m, "y_m": cube.y_m + dy_m},
-        )
-
-
-class Sideways(_ToSide):
-    """Put a cube to the left or right."""
-
-    name = "put-sideways"
-    sides = ("to the left", "to the right")
+    name = "put-by"
     wordings: ClassVar[tuple[str, ...]] = (
         "Put the {colour} cube {distance} cm {side} of where it lies, as the robot sees it.",
         "Move the {colour} block {distance} cm {side}, seen from the robot, and let it go there.",
@@ -99,17 +78,64 @@ class Sideways(_ToSide):
         "view).",
     )
 
+    def prepare(self, seed: int) -> AgentScene:
+        """Choose a scene in which the target position is free."""
+        chance, colours, target = draw_target(self.name, seed)
+        side = chance.choice(sorted(SIDES))
+        distance_cm = chance.choice((8, 10, 12))
+        dx_m, dy_m = (part * distance_cm / 100 for part in SIDES[side])
 
-class Lengthways(_ToSide):
-    """Put a cube forwards or back."""
+        def has_room(cubes: Mapping[str, Cube]) -> bool:
+            cube = cubes[target]
+            return is_free(cubes, target, cube.x_m + dx_m, cube.y_m + dy_m)
 
-    name = "put-lengthways"
-    sides = ("forwards, away from the robot", "back towards the robot")
+        scene = self.scene(
+            seed, colours, has_room, {"target": target}, distance=distance_cm, side=side
+        )
+        x_m, y_m = started_at(scene, target)
+        facts = {**scene.facts, "x_m": x_m + dx_m, "y_m": y_m + dy_m}
+        return replace(scene, facts=facts)
+
+
+class WhereTaken(BySide):
+    """Pick a cube up, hold it higher, and put it down gently beside where it was taken."""
+
+    name = "put-taken"
     wordings: ClassVar[tuple[str, ...]] = (
-        "Put the {colour} cube {distance} cm {side}.",
-        "Move the {colour} block {distance} cm {side}, and let it go there.",
+        "Pick up the {colour} cube.\nHold it 5 cm higher.\nNow put it down gently, {distance} cm "
+        "{side} of where you took it.",
+        "Lift the {colour} cube off the table.\nRaise it by 5 cm more.\nSet it down softly, "
+        "{distance} cm {side} of where you have taken it.",
     )
-    distances_cm = (8, 10, 12)
+
+    def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
+        """It must also have come down slowly."""
+        put_down = super().judge(scene, truth, conduct)
+        if not put_down.success:
+            return put_down
+        speed_m_s = landing_speed_m_s(truth, scene.text("target"))
+        return AgentVerdict.of(
+            (
+                speed_m_s <= GENTLE_M_S,
+                f"The cube came down at {100 * speed_m_s:.0f} cm/s, gently is at most "
+                f"{100 * GENTLE_M_S:.0f}.",
+            ),
+        )
+
+
+def landing_speed_m_s(truth: Truth, colour: str) -> float:
+    """Highest downward speed of a cube in the last 2 cm above the table, after it was lifted."""
+    heights_m = truth.height_m(colour)
+    lifted = np.flatnonzero(heights_m >= 0.05)
+    if not lifted.size:
+        return 0.0
+    last = int(lifted[-1])
+    times_s, down_m = truth.t_s[last:], heights_m[last:]
+    earlier = np.maximum(np.searchsorted(times_s, times_s - 0.1), 0)
+    passed_s = times_s - times_s[earlier]
+    is_low = (down_m <= 0.02) & (passed_s >= 0.05)
+    speeds = (down_m[earlier] - down_m)[is_low] / passed_s[is_low]
+    return float(speeds.max(initial=0.0))
 
 
 class AtPlace(_Put):
@@ -125,13 +151,34 @@ class AtPlace(_Put):
         """Draw a free position."""
         chance, colours, target = draw_target(self.name, seed)
         x_m, y_m = round(chance.uniform(0.42, 0.58), 2), round(chance.uniform(-0.25, 0.25), 2)
-        chosen = find_seed(seed, colours, lambda cubes: is_free(cubes, target, x_m, y_m))
-        return AgentScene(
-            seed=chosen,
-            instruction=self.say(seed, colour=target, x_m=x_m, y_m=y_m),
-            colours=colours,
-            facts={"target": target, "x_m": x_m, "y_m": y_m},
+        yaw_deg = chance.choice((-30, -15, 0, 15, 30))
+        return self.scene(
+            seed,
+            colours,
+            lambda cubes: is_free(cubes, target, x_m, y_m),
+            {"target": target, "x_m": x_m, "y_m": y_m, "yaw": yaw_deg},
         )
+
+
+class PutTurned(AtPlace):
+    """Put a cube at coordinates, with its faces in a direction."""
+
+    name = "put-yawed"
+    wordings: ClassVar[tuple[str, ...]] = (
+        "Put the {colour} cube down at x = {x_m} m, y = {y_m} m of the robot's base frame, with "
+        "its faces turned to a yaw of {yaw} degrees.",
+        "Set the {colour} block onto the table at ({x_m}, {y_m}), metres in the base frame, at a "
+        "yaw of {yaw} degrees.",
+    )
+
+    def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
+        """Its faces must also have the direction; quarter turns of a cube look the same."""
+        put_down = super().judge(scene, truth, conduct)
+        if not put_down.success:
+            return put_down
+        yaws = np.degrees(truth.yaws_rad[-1, truth.names.index(scene.text("target"))])
+        off_deg = abs(math.remainder(float(yaws) - scene.number("yaw"), 90.0))
+        return AgentVerdict.of((off_deg <= 5.0, f"The cube is turned {off_deg:.0f} degrees off."))
 
 
 class Beside(_Put):
@@ -140,9 +187,10 @@ class Beside(_Put):
     name = "put-beside"
     difficulty: ClassVar[Difficulty] = 3
     wordings: ClassVar[tuple[str, ...]] = (
-        "Put the {colour} cube 12 cm to the {side} of the {other} cube, as the robot sees it.",
-        "The {colour} cube belongs 12 cm to the {side} of the {other} one (robot's view). Put it "
-        "there.",
+        "Put the {colour} cube beside the {other} cube, on its {side} side as the robot sees it, "
+        "with {gap} cm between them.",
+        "The {colour} cube belongs on the {side} side of the {other} one (robot's view), with a "
+        "gap of {gap} cm between the two. Put it there.",
     )
 
     def prepare(self, seed: int) -> AgentScene:
@@ -150,19 +198,35 @@ class Beside(_Put):
         chance = draw(self.name, seed)
         colours = some_colours(chance, 3, 3)
         target, other = chance.sample(colours, 2)
-        side = chance.choice(("left", "right"))
-        dy_m = 0.12 if side == "left" else -0.12
-        chosen = find_seed(
+        side, gap_cm = chance.choice(("left", "right")), chance.choice((4, 5, 6))
+        dy_m = (0.044 + gap_cm / 100) * (1.0 if side == "left" else -1.0)
+        return self.scene(
             seed,
             colours,
-            lambda cubes: is_free(cubes, target, cubes[other].x_m, cubes[other].y_m + dy_m),
+            lambda cubes: is_free(
+                {n: c for n, c in cubes.items() if n != other},
+                target,
+                cubes[other].x_m,
+                cubes[other].y_m + dy_m,
+                0.14,
+            ),
+            {"target": target, "other": other, "side": side, "gap": gap_cm},
         )
-        cube = cubes_of(AgentScene(seed=chosen, instruction="", colours=colours))[other]
-        return AgentScene(
-            seed=chosen,
-            instruction=self.say(seed, colour=target, other=other, side=side),
-            colours=colours,
-            facts={"target": target, "x_m": cube.x_m, "y_m": cube.y_m + dy_m},
+
+    def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
+        """Judge the gap between the faces, and that nothing else was moved."""
+        if truth.is_empty:
+            return AgentVerdict(success=False, reason=STARTED)
+        target, other = scene.text("target"), scene.text("other")
+        gap_cm = 100 * truth.gap_m(target, other)
+        away_m = float(truth.end_m(target)[1] - truth.end_m(other)[1])
+        is_left = scene.text("side") == "left"
+        return AgentVerdict.of(
+            (truth.is_resting(target), f"The {target} cube does not lie on the table."),
+            (abs(gap_cm - scene.number("gap")) <= 1.0, f"The gap is {gap_cm:.1f} cm wide."),
+            (abs(away_m) > 0.04 and (away_m > 0) == is_left, "It lies on the wrong side."),
+            untouched(truth, target),
+            let_go(truth),
         )
 
 
@@ -189,29 +253,13 @@ class Stack(CubeTask):
         empty.
         """
         if truth.is_empty:
-            return AgentVerdict(success=False, reason="The robot was never started.")
+            return AgentVerdict(success=False, reason=STARTED)
         target, other = scene.text("target"), scene.text("other")
-        above, below = truth.end_m(target), truth.end_m(other)
-        edges = truth.edges_m[truth.names.index(target)] + truth.edges_m[truth.names.index(other)]
-        beside_m = math.hypot(above[0] - below[0], above[1] - below[1])
         return AgentVerdict.of(
             (truth.is_resting(other), f"The {other} cube does not lie on the table."),
-            (
-                abs(above[2] - below[2] - edges / 2) <= 0.01 and beside_m <= NEAR_M,
-                f"The {target} cube is not on top of the {other} one.",
-            ),
-            (truth.grip_width_m() > 0.06, "The hand has not let go."),
+            stands_on(truth, target, other),
+            let_go(truth),
         )
-
-    async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
-        """Pick up the cube, carry it above the other one, and release it one edge higher."""
-        target, other = scene.text("target"), cubes_of(scene)[scene.text("other")]
-        await lift(tools, target)
-        await free_hand(tools)
-        await go_to(tools, other.x_m, other.y_m)
-        height_m = other.edge_m + cubes_of(scene)[target].edge_m / 2 + 0.004
-        await tools.must("place", height_m=round(height_m, 4))
-        return DONE
 
 
 class Both(CubeTask):
@@ -253,7 +301,7 @@ class Both(CubeTask):
         """
         one, other = scene.text("one"), scene.text("other")
         if truth.is_empty:
-            return AgentVerdict(success=False, reason="The robot was never started.")
+            return AgentVerdict(success=False, reason=STARTED)
         place = truth.end_m(one)
         off_m = math.hypot(place[0] - scene.number("x_m"), place[1] - scene.number("y_m"))
         first = [float(truth.t_s[(truth.height_m(n) >= 0.05).argmax()]) for n in (one, other)]
@@ -263,10 +311,3 @@ class Both(CubeTask):
             (truth.is_lifted(other), f"The {other} cube is not in the air at the end."),
             (first[0] < first[1], "They were taken in the wrong order."),
         )
-
-    async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
-        """Do one after the other."""
-        await put(tools, scene.text("one"), scene.number("x_m"), scene.number("y_m"))
-        await tools.must("move_to", name="home")
-        await lift(tools, scene.text("other"))
-        return DONE

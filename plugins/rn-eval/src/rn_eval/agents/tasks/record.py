@@ -5,26 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import ClassVar
 
-from rn_eval.agents.client import ToolClient
 from rn_eval.agents.conduct import Conduct
 from rn_eval.agents.task import AgentScene, AgentVerdict
 from rn_eval.agents.tasks.base import CubeTask, Difficulty, draw_target
-from rn_eval.agents.tasks.steps import DONE, go_by, lift, start_arm
 from rn_eval.agents.truth import Truth
-from roboneuron import NotReadyError
-
-
-async def _begin(tools: ToolClient) -> None:
-    await tools.must("start_recording", name="job")
-
-
-async def _end(tools: ToolClient) -> str:
-    """End the recording; return the last words with its path."""
-    ended = await tools.must("stop_recording", outcome="success")
-    files = ended.data.get("files")
-    if not isinstance(files, list) or not files:
-        raise NotReadyError(f"The recording has no file: {str(ended.data)[:200]}")
-    return f"ANSWER: {files[0]}\n{DONE}"
 
 
 class _RecordTask(CubeTask):
@@ -71,13 +55,6 @@ class Move(_RecordTask):
             (abs(up_m - 0.1) <= 0.01, f"The hand has moved up by {100 * up_m:.0f} cm."),
         )
 
-    async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
-        """Start the recording, move, stop the recording."""
-        await start_arm(tools)
-        await _begin(tools)
-        await go_by(tools, dz_m=0.1)
-        return await _end(tools)
-
 
 class Pick(_RecordTask):
     """Record the picking of a cube."""
@@ -101,10 +78,3 @@ class Pick(_RecordTask):
             *self.recorded(conduct),
             (truth.is_lifted(target), f"The {target} cube is not in the air at the end."),
         )
-
-    async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
-        """Start the recording, pick up the cube, stop the recording."""
-        await tools.must("start_all")
-        await _begin(tools)
-        await lift(tools, scene.text("target"))
-        return await _end(tools)

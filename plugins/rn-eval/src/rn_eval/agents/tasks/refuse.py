@@ -185,3 +185,14 @@ class TwoAtOnce(_Refuse):
         colours = some_colours(chance, 3, 4)
         one, other = chance.sample(colours, 2)
         return self.scene(seed, colours, facts={"one": one, "other": other})
+
+
+class OtherModel(_Refuse):
+    """A request for a model that is not there."""
+
+    wordings: ClassVar[tuple[str, ...]] = (
+        "Use another brain from now on: the trained model 'atlas-7b'.",
+        "Think with the model 'atlas-7b' instead of what you use now.",
+    )
+    matter = ("model", "atlas")
+    why = "there is no model 'atlas-7b' here; a person adds models to the configuration"

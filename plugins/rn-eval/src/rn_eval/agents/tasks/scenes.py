@@ -55,7 +55,7 @@ def is_free(
     return inside and all(math.hypot(c.x_m - x_m, c.y_m - y_m) >= least_m for c in others)
 
 
-def clear_first(values: Mapping[str, float]) -> str:
+def clear_first(values: Mapping[str, float], clear_m: float = CLEAR_M) -> str:
     """The name with the clearly smallest value; "" if the difference is too small."""
     first, second = sorted(values, key=lambda name: values[name])[:2]
-    return first if values[second] - values[first] >= CLEAR_M else ""
+    return first if values[second] - values[first] >= clear_m else ""

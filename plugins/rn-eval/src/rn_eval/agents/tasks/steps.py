@@ -31,12 +31,17 @@ def lifted_until(colour: str) -> dict[str, object]:
     return {"kind": "held", "for_s": 0.5, "of": {"kind": "all", "of": [holds, monitor]}}
 
 
+async def start_kinds(tools: ToolClient, *kinds: str) -> None:
+    """Start these modules unless they run. Raises NotReadyError."""
+    for kind in kinds:
+        answer = await tools.call(f"start_{kind}")
+        if not answer.ok and answer.code != "wrong_state":
+            raise NotReadyError(f"start_{kind}: {answer.text}")
+
+
 async def start_arm(tools: ToolClient) -> None:
     """Start robot and controller, enough for motion tools. Raises NotReadyError."""
-    for tool in ("start_robot", "start_control"):
-        answer = await tools.call(tool)
-        if not answer.ok and answer.code != "wrong_state":
-            raise NotReadyError(f"{tool}: {answer.text}")
+    await start_kinds(tools, "robot", "control")
 
 
 async def try_to_lift(tools: ToolClient, colour: str, max_s: float = 40.0) -> ToolAnswer:
@@ -92,10 +97,7 @@ async def lift_whatever_happens(
 
 async def lift_with(tools: ToolClient, backend: str, colour: str) -> None:
     """Pick up a cube with this policy instead of the configured one. Raises NotReadyError."""
-    for kind in ("robot", "perception", "control"):
-        answer = await tools.call(f"start_{kind}")
-        if not answer.ok and answer.code != "wrong_state":
-            raise NotReadyError(f"start_{kind}: {answer.text}")
+    await start_kinds(tools, "robot", "perception", "control")
     await tools.must("start_inference", backend=backend)
     for _ in range(2):
         ended = await try_to_lift(tools, colour, _ATTEMPT_S)
@@ -154,10 +156,7 @@ def healths(status: ToolAnswer) -> dict[str, str]:
 
 async def seen_colours(tools: ToolClient) -> list[str]:
     """Start the front camera and return the colours in its image. Raises NotReadyError."""
-    for tool in ("start_robot", "start_perception"):
-        answer = await tools.call(tool)
-        if not answer.ok and answer.code != "wrong_state":
-            raise NotReadyError(f"{tool}: {answer.text}")
+    await start_kinds(tools, "robot", "perception")
     answer = await tools.must("get_camera_image", camera="front", format="png")
     if not answer.images:
         raise NotReadyError("get_camera_image returned no image.")
@@ -223,20 +222,6 @@ async def go_by(
     for _ in range(pieces):
         delta = {"dx_m": dx_m / pieces, "dy_m": dy_m / pieces, "dz_m": dz_m / pieces}
         await tools.must("move_ee", **{name: round(v, 5) for name, v in delta.items()}, **more)
-
-
-async def go_to(tools: ToolClient, x_m: float, y_m: float, z_m: float | None = None) -> None:
-    """Move the TCP straight to a position; without `z_m` it keeps its height."""
-    x, y, z = await tools.tcp_m()
-    await go_by(tools, x_m - x, y_m - y, 0.0 if z_m is None else z_m - z)
-
-
-async def put(tools: ToolClient, colour: str, x_m: float, y_m: float) -> None:
-    """Pick up a cube and put it on the table at a position. Raises NotReadyError."""
-    await lift(tools, colour)
-    await free_hand(tools)
-    x, y, _ = await tools.tcp_m()
-    await tools.must("place", dx_m=round(x_m - x, 4), dy_m=round(y_m - y, 4))
 
 
 async def hold_up(
