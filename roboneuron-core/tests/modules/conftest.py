@@ -10,6 +10,7 @@ import shutil
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -289,7 +290,7 @@ def make_host(
         for distribution in importlib.metadata.distributions(path=[str(loop_site)])
         for point in distribution.entry_points
     ]
-    monkeypatch.setattr(module_host, "discover", lambda disabled: discover(disabled, points=points))
+    monkeypatch.setattr(module_host, "discover", partial(discover, points=points))
     clock = Clock()
     for one in (control, command_guard, holding, robot):
         monkeypatch.setattr(one, "time", clock)
