@@ -27,7 +27,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -156,7 +156,7 @@ def robot_before(link: Link) -> Iterator[Machine]:
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         here, there = (
-            stack.enter_context(Machine(folder, name, number))
+            stack.enter_context(closing(Machine(folder, name, number)))
             for number, name in enumerate(("robot", "gpu"), 1)
         )
         ends = [open_tap(side.pid, "cable") for side in (here, there)]

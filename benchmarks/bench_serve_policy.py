@@ -37,8 +37,14 @@ from rn_backend_openpi.options import PolicyOptions
 from rn_backend_openpi.plugin import SHARED
 from rn_backend_openpi.serve_command import name_of
 from rn_backend_openpi.status_page import ask_status
-from rn_link.keys import add_peer, make_machine, new_identity
-from rn_link.machine import Machine, Peer, Role, read_machine
+from rn_link.keys import (
+    add_peer,
+    make_machine,
+    new_identity,
+    own_certificate,
+    to_certificate,
+)
+from rn_link.machine import Machine, Peer, read_machine
 from rn_link.tls import tls_context
 from rn_testing.fakes.backend import make_observation
 from rn_testing.fakes.site import PluginSite
@@ -109,11 +115,11 @@ Ask = Callable[[], object]
 def pair(folder: Path) -> None:
     """Create the state directories `robot` and `gpu` of two paired machines."""
     hub, member = (folder / name / "roboneuron" / "link" for name in ("robot", "gpu"))
-    roles: tuple[tuple[Path, str, Role], ...] = ((hub, "robot", "hub"), (member, "gpu", "member"))
-    for link, name, role in roles:
-        make_machine(link, Machine(name=name, role=role), new_identity())
-    add_peer(hub, "gpu", Peer("127.0.0.1"), (member / "own.pem").read_bytes())
-    add_peer(member, "robot", Peer("127.0.0.1"), (hub / "own.pem").read_bytes())
+    make_machine(hub, Machine(name="robot", role="hub"), new_identity())
+    identity = new_identity()
+    peers = {"robot": Peer("127.0.0.1", own_certificate(hub))}
+    make_machine(member, Machine(name="gpu", role="member", peers=peers), identity)
+    add_peer(hub, "gpu", Peer("127.0.0.1", to_certificate(identity)))
 
 
 def cpu_s(pids: Sequence[int]) -> float:

@@ -173,7 +173,7 @@ PARSERS = {
     "link": Parser(
         "link.json",
         in_file("link.json", read_machine),
-        {"name": "a", "role": "hub", "port": 7411, "peers": {"b": ["10.0.0.1", 7411]}},
+        {"name": "a", "role": "hub", "peers": {"b": ["10.0.0.1", "certificate"]}},
         (ConfigurationError,),
     ),
     "alarms": Parser(

@@ -12,8 +12,6 @@ COMMANDS = [
     ("serve", "--transport", "http"),
     ("view",),
     ("serve-policy",),
-    ("link", "init"),
-    ("link", "add", "arm-pc"),
     ("openpi-server",),
     ("eval", "serve"),
 ]

@@ -30,7 +30,6 @@ from rn_backend_openpi.options import PolicyOptions
 from rn_backend_openpi.plugin import SHARED
 from rn_backend_openpi.serve_command import name_of
 from rn_backend_openpi.status_page import ask_status
-from rn_link.machine import Peer
 from rn_testing.fakes.backend import make_observation
 from rn_testing.waiting import wait_until
 from roboneuron import NotReadyError, Observation
@@ -56,7 +55,7 @@ def pair(hub: Path, member: Path, *, name: str = "gpu", address: str = "127.0.0.
     """Pair two state directories."""
     if not link_of(hub).exists():
         make_hub(link_of(hub))
-    admit(link_of(hub), link_of(member), name, Peer(address))
+    admit(link_of(hub), link_of(member), name, address)
 
 
 def _toml(value: object) -> str:

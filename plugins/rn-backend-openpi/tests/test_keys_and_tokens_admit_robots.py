@@ -94,7 +94,7 @@ def test_a_token_is_read_from_a_file_that_only_its_owner_reads(tmp_path: Path) -
         place_of(options)
     token.write_text("a-key-of-some-length\n")
     token.chmod(0o644)
-    with pytest.raises(ConfigurationError, match="Others may read"):
+    with pytest.raises(ConfigurationError, match="others can read"):
         place_of(options)
     token.chmod(0o600)
     assert place_of(options).token == "a-key-of-some-length"

@@ -80,6 +80,25 @@ def test_other_machines_are_let_in_with_key_and_certificate_or_on_purpose(
         check("127.0.0.1", certificate=files["token_file"])
 
 
+@pytest.mark.parametrize("mode", [0o640, 0o604, 0o620])
+@pytest.mark.parametrize("holder", ["key", "certificate"])
+def test_a_key_that_others_may_use_is_refused(
+    files: dict[str, str], holder: str, mode: int
+) -> None:
+    """The key is in a file of its own, or beside the certificate."""
+    listen = {"keys": "none", "certificate": files["certificate"], "key": files["key"]}
+    if holder == "certificate":
+        with Path(files["certificate"]).open("a") as file:
+            file.write(Path(files["key"]).read_text())
+        del listen["key"]
+    place = Path(files[holder])
+    place.chmod(0o600)
+    assert Guard(ListenOptions.model_validate(listen)).context is not None
+    place.chmod(mode)
+    with pytest.raises(ConfigurationError, match="others can read"):
+        Guard(ListenOptions.model_validate(listen))
+
+
 def test_key_and_certificate_from_end_to_end(files: dict[str, str]) -> None:
     with served(keys="token", **files) as url:
         given = {"url": url, "profile": "libero", "image_keys": KEYS}

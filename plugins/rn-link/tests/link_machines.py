@@ -9,14 +9,13 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 from rn_testing.waiting import wait_until
 
-TALKER = Path(__file__).with_name("link_talker.py")
+TALKER, WATCHER = (Path(__file__).with_name(f"link_{name}.py") for name in ("talker", "watcher"))
 NETWORK = "10.213.91"
 
 
@@ -180,28 +179,17 @@ class Machine:
         self._holder.kill()
         self._holder.wait(10.0)
 
-    def __enter__(self) -> Machine:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
-
 
 @contextmanager
 def machines(folder: Path, *names: str) -> Iterator[Mapping[str, Machine]]:
     """Machines on one switch, until the context ends."""
     with ExitStack() as stack:
-        switch = stack.enter_context(Machine(folder, "switch", 254))
+        switch = stack.enter_context(closing(Machine(folder, "switch", 254)))
         switch.run("ip", "link", "add", "switch", "type", "bridge")
         switch.run("ip", "link", "set", "switch", "up")
         made = {}
         for number, name in enumerate(names, 1):
-            made[name] = stack.enter_context(Machine(folder, name, number))
+            made[name] = stack.enter_context(closing(Machine(folder, name, number)))
             _connect(made[name], switch, f"port{number}")
         yield made
 

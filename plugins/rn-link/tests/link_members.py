@@ -1,122 +1,111 @@
-"""Members without ROS: the TLS part of another machine, and a hub's relay, each on a loop of its
-own.
-"""
+"""A relay and members without ROS, on the event loop of a test."""
 
 from __future__ import annotations
 
 import asyncio
+import json
+import os
 import socket
-import threading
-from collections.abc import Callable, Coroutine, Iterator
-from contextlib import contextmanager, suppress
+import ssl
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager, suppress
 from pathlib import Path
-from typing import Any
 
 import pytest
-from link_pairs import Place, admit, make_hub
 
-from rn_link import ports
+from rn_link import peer_link, ports
 from rn_link import relay as relay_module
-from rn_link.machine import Peer, read_machine
 from rn_link.relay import Relay
-from rn_link.tls import tls_context
+from rn_link.state import PeerConnection
 
 BOUND_S = 20.0
 
 
+class Net:
+    """Addresses of this test alone: the port of members, and the relay's for announcements."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        pid = os.getpid()
+        self.relay = f"127.91.{pid >> 8 & 255}.{pid & 255}"
+        with socket.create_server(("127.0.0.1", 0)) as listener:
+            self.port = int(listener.getsockname()[1])
+        for module, name, value in (
+            (ports, "RELAY", self.relay),
+            (peer_link, "PORT", self.port),
+            (peer_link, "PAUSE_S", 0.05),
+            (relay_module, "LOOK_S", 0.05),
+        ):
+            monkeypatch.setattr(module, name, value)
+
+    def is_taken(self) -> bool:
+        """True if a member listens."""
+        with socket.socket() as probe:
+            return probe.connect_ex(("127.0.0.1", self.port)) == 0
+
+
 @pytest.fixture
-def robot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Place:
-    """A hub of this machine, whose relay looks often."""
-    monkeypatch.setattr(ports, "RELAY", "127.90.0.5")
-    monkeypatch.setattr(relay_module, "LOOK_S", 0.05)
-    monkeypatch.setattr(relay_module, "PAUSE_S", 0.05)
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "robot"))
-    place = Place("robot", tmp_path / "robot" / "roboneuron" / "link")
-    make_hub(place.link)
-    return place
+def net(monkeypatch: pytest.MonkeyPatch) -> Net:
+    return Net(monkeypatch)
 
 
-@contextmanager
-def on_a_loop(main: Callable[[asyncio.Event], Coroutine[Any, Any, None]]) -> Iterator[None]:
-    """Run `main(ended)` on a thread until the context ends; its error is raised there."""
-    loop, ended = asyncio.new_event_loop(), asyncio.Event()
-    errors: list[BaseException] = []
+async def until(look: Callable[[], object], what: object) -> None:
+    """Wait until `look` returns something true."""
+    try:
+        async with asyncio.timeout(BOUND_S):
+            while not look():
+                await asyncio.sleep(0.01)
+    except TimeoutError as error:
+        raise AssertionError(f"not within {BOUND_S} s: {what}") from error
 
-    async def settle() -> None:
-        """Let the loop close what was aborted, and end what still runs."""
-        others = asyncio.all_tasks() - {asyncio.current_task()}
-        for task in others:
-            task.cancel()
-        await asyncio.gather(*others, return_exceptions=True)
-        for _ in range(10):  # an abort of TLS takes several turns of the loop
-            await asyncio.sleep(0)
 
-    def run() -> None:
-        try:
-            loop.run_until_complete(main(ended))
-        except Exception as error:
-            errors.append(error)
-        finally:
-            loop.run_until_complete(settle())
-            loop.close()
-
-    thread = threading.Thread(target=run)
-    thread.start()
+@asynccontextmanager
+async def relaying(folder: Path) -> AsyncIterator[None]:
+    """Run the relay of a machine."""
+    ended = asyncio.Event()
+    task = asyncio.create_task(Relay(folder).run(ended))
     try:
         yield
     finally:
-        if thread.is_alive():
-            loop.call_soon_threadsafe(ended.set)
-        thread.join(BOUND_S)
-    assert not errors, errors
+        ended.set()
+        await task
+        for _ in range(10):  # an abort of TLS takes several turns of the loop
+            await asyncio.sleep(0)
 
 
-def admit_at_a_port(robot: Place, folder: Path, name: str) -> int:
-    """Pair a member of this machine, and return the port at which it is to listen."""
-    with socket.socket() as made:
-        made.bind(("127.0.0.1", 0))
-        port = int(made.getsockname()[1])
-    admit(robot.link, folder, name, Peer("127.0.0.1", port))
-    return port
+def state_of(folder: Path, name: str) -> PeerConnection:
+    """The connection to a machine as published by the relay."""
+    with suppress(FileNotFoundError):
+        return PeerConnection(**json.loads((folder / "relay.json").read_text()).get(name, {}))
+    return PeerConnection()
 
 
-@contextmanager
-def answering(folder: Path, port: int, drops: int = 0) -> Iterator[None]:
-    """Accept the hub's connections as the member of that folder; the first ones are aborted right
-    after their handshake.
+@asynccontextmanager
+async def listening(
+    net: Net, context: ssl.SSLContext | None, address: str = "127.0.0.1", drops: int = 0
+) -> AsyncIterator[list[bytes | None]]:
+    """Accept connections of a hub; the first `drops` ones end right after their handshake.
+
+    Yields:
+        for each connection what it sent, as far as it has; None at its end.
     """
-    machine = read_machine(folder)
-    assert machine is not None
-    context = tls_context(machine, folder, "robot")
-    writers: list[asyncio.StreamWriter] = []
+    heard: list[bytes | None] = []
+    writers = []
 
-    async def serve(ended: asyncio.Event) -> None:
-        async def take(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-            writers.append(writer)
-            with suppress(OSError):  # the hub ends it within the handshake, too
-                # only here, so that a connection within its handshake is known and ended as well
-                await writer.start_tls(context)
-                if len(writers) <= drops:
-                    writer.transport.abort()
-                while await reader.read(1000):
-                    pass
+    async def take(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        number = len(heard)
+        heard.append(b"")
+        writers.append(writer)
+        if number < drops:
+            writer.transport.abort()
+        with suppress(OSError):
+            while part := await reader.read(1000):
+                heard[number] = (heard[number] or b"") + part
+        heard[number] = None
 
-        server = await asyncio.start_server(take, "127.0.0.1", port)
-        await ended.wait()
+    server = await asyncio.start_server(take, address, net.port, ssl=context)
+    try:
+        yield heard
+    finally:
         server.close()
         for writer in writers:
             writer.transport.abort()
-
-    with on_a_loop(serve):
-        yield
-
-
-@contextmanager
-def relaying(robot: Place) -> Iterator[None]:
-    """Run the relay of the hub until the context ends."""
-
-    async def relay(ended: asyncio.Event) -> None:
-        await Relay(robot.link).run(ended)
-
-    with on_a_loop(relay):
-        yield

@@ -1,15 +1,11 @@
 """`link_talker.py NAME FOLDER [--images]`: publishes its name on `/talk` 20 times a second, counts
 the received names, and writes FOLDER/NAME.json; with --images it also publishes 30 images a second.
-
-The variable MANNERS selects the relay of a foreign node (`link_stranger`).
 """
 
 from __future__ import annotations
 
 import array
 import json
-import os
-import subprocess
 import sys
 import time
 from pathlib import Path
@@ -30,11 +26,7 @@ def main(name: str, folder: Path, *options: str) -> None:
     from std_msgs.msg import String
 
     rclpy.init()
-    if manners := os.environ.get("MANNERS"):
-        stranger = [sys.executable, str(Path(__file__).with_name("link_stranger.py")), manners]
-        subprocess.Popen(stranger, stdin=subprocess.PIPE)
-    else:
-        keep_link()
+    keep_link()
     node = rclpy.create_node(f"talker_{name.replace('-', '_')}")
     heard: dict[str, int] = {}
     gaps_s: dict[str, float] = {}

@@ -1,8 +1,7 @@
 """`link_watcher.py NAME FOLDER [NAMESPACE]`: access to a served robot from another machine.
 
 It counts the joint states and images of the discovered robot, or of that namespace, and writes
-FOLDER/NAME.json. While FOLDER/NAME.act exists it publishes actions that raise the hand; when
-FOLDER/NAME.ask appears it requests deactivation of the control module.
+FOLDER/NAME.json. While FOLDER/NAME.act exists it publishes actions that raise the hand.
 """
 
 from __future__ import annotations
@@ -26,8 +25,6 @@ def main(name: str, folder: Path, namespace: str = "") -> None:
     join_link()
     environment.prepare_environment(folder)
     import rclpy
-    from lifecycle_msgs.msg import Transition
-    from lifecycle_msgs.srv import ChangeState
     from sensor_msgs.msg import Image, JointState
     from std_msgs.msg import Float64MultiArray
 
@@ -37,7 +34,7 @@ def main(name: str, folder: Path, namespace: str = "") -> None:
     keep_link()
     node = rclpy.create_node(f"watcher_{name}")
     seen = {"joint_states": 0, "images": 0}
-    facts: dict[str, object] = {"positions": [], "answer": None, "nodes": [], "namespace": ""}
+    facts: dict[str, object] = {"positions": [], "nodes": [], "namespace": ""}
     subscriptions: dict[str, object] = {}
 
     def hear_joints(message: JointState) -> None:
@@ -70,28 +67,12 @@ def main(name: str, folder: Path, namespace: str = "") -> None:
             row = np.array([0.0, 0.0, LIFT_M, 0.0, 0.0, 0.0, 1.0])
             publishers[""].publish(to_action_message(row))  # type: ignore[attr-defined]
 
-    asked: list[object] = []
-
-    def ask() -> None:
-        if (folder / f"{name}.ask").exists() and not asked:
-            found = [one for one in facts["nodes"] if one.endswith("control")]  # type: ignore[attr-defined]
-            client = node.create_client(ChangeState, f"{found[0]}/change_state")
-            asked.append(client)
-            if not client.wait_for_service(10.0):
-                facts["answer"] = "no service"
-                return
-            request = ChangeState.Request()
-            request.transition.id = Transition.TRANSITION_DEACTIVATE
-            future = client.call_async(request)
-            asked.append(future)
-            future.add_done_callback(lambda done: facts.update(answer=done.result().success))
-
     def report() -> None:
         fresh = folder / f".{name}.new"
         fresh.write_text(json.dumps(seen | facts), encoding="utf-8")
         fresh.replace(folder / f"{name}.json")
 
-    for period_s, step in ((0.5, look), (0.1, act), (0.1, ask), (0.1, report)):
+    for period_s, step in ((0.5, look), (0.1, act), (0.1, report)):
         node.create_timer(period_s, step)
     while True:
         rclpy.spin_once(node, timeout_sec=0.5)

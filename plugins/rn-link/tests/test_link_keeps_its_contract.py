@@ -9,4 +9,4 @@ from rn_testing import FeatureCase, FeatureContract
 class TestFeature(FeatureContract):
     @pytest.fixture
     def plugin(self) -> FeatureCase:
-        return FeatureCase(spec=FEATURE, options={"required": False})
+        return FeatureCase(spec=FEATURE)

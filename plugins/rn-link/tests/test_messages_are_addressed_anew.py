@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -48,26 +49,24 @@ def test_a_participants_ports_are_read_and_its_address_changed() -> None:
     assert read_announcement(moved).ports == set()
 
 
-def test_the_data_of_users_stays_as_it_is() -> None:
-    message = stamped(data(USER, locator(0x32, 7412)), data(SPDP, b"", kind=0x16))
+@pytest.mark.parametrize(
+    "message",
+    [
+        stamped(data(USER, locator(0x32, 7412))),
+        stamped(data(SPDP, b"", kind=0x16)),
+        stamped(data(SPDP, locator(0x32, 7412, kind=16))),
+        stamped(data(SPDP, locator(0x31, 7413, bytes((10, 0, 0, 1))))),
+    ],
+    ids=["data of users", "fragment", "shared memory", "another address"],
+)
+def test_everything_else_stays_as_it_is(message: bytes) -> None:
     assert with_places(message, PLACES) == message
-    assert read_announcement(message).ports == set()
-
-
-def test_shared_memory_and_real_addresses_stay_as_they_are() -> None:
-    message = stamped(
-        data(SPDP, locator(0x32, 7412, kind=16) + locator(0x31, 7413, bytes((10, 0, 0, 1))))
-    )
-    assert with_places(message, PLACES) == message
+    assert not read_announcement(message).ports
 
 
 def test_the_last_part_of_a_message_may_have_no_length() -> None:
     part = data(SPDP, locator(0x32, 7662))
-    message = stamped(part[:2] + b"\0\0" + part[4:])
-    assert read_announcement(message).domains == {1}
-
-
-def test_domains_follow_from_ports() -> None:
+    assert read_announcement(stamped(part[:2] + b"\0\0" + part[4:])).domains == {1}
     assert [domain_of(port) for port in (7410, 7649, 7650, 65410)] == [0, 0, 1, 232]
 
 

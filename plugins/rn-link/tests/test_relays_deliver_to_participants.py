@@ -7,13 +7,12 @@ import socket
 import struct
 from collections.abc import AsyncIterator
 from contextlib import ExitStack, asynccontextmanager, closing, suppress
-from pathlib import Path
 
 import pytest
 
 from rn_link import ports
-from rn_link.machine import DISCOVERY_PORT, THERE
-from rn_link.ports import ParticipantPort, Ports
+from rn_link.machine import DISCOVERY_PORT
+from rn_link.ports import ParticipantPort, Ports, address_of
 
 SPDP = bytes.fromhex("000100c2")
 LOOPBACK = "127.0.0.1"
@@ -57,12 +56,6 @@ class Participant:
         loop = asyncio.get_running_loop()
         return await asyncio.wait_for(loop.sock_recv(on, 65_536), 10.0)
 
-    async def met(self) -> tuple[str, int]:
-        """Data address of the participant that announces itself."""
-        message = await self.receive(self.metatraffic)
-        *_, port, address = struct.unpack("<HHiI12x4s", message[-28:])
-        return socket.inet_ntoa(address), port
-
     def close(self) -> None:
         for one in (self.metatraffic, self.data):
             one.close()
@@ -71,8 +64,8 @@ class Participant:
 class Relays:
     """Both machines' ports; messages forwarded by one are delivered by the other."""
 
-    def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-        self._folder, self._monkeypatch = folder, monkeypatch
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self._monkeypatch = monkeypatch
         self.robot, self.gpu = self.open("robot"), self.open("gpu")
 
     def open(self, name: str) -> Ports:
@@ -81,7 +74,7 @@ class Relays:
             to.deliver(name, place, message)
 
         self._monkeypatch.setattr(ports, "RELAY", RELAYS[name])
-        return Ports(forward, self._folder / f"{name}.json")
+        return Ports(forward)
 
     def close(self) -> None:
         self.robot.close()
@@ -91,32 +84,40 @@ class Relays:
 async def meet(near: Participant, far: Participant) -> tuple[str, int]:
     """Address at which `far` reaches `near`."""
     far.announce(RELAYS["gpu"])
-    await asyncio.sleep(0.05)  # until the relay knows it, as after a repeated announcement
+    # until the relay knows it, as after a repeated announcement
+    await asyncio.sleep(0.05)
     near.announce(RELAYS["robot"])
-    place = await far.met()
-    assert place[0] == THERE
-    assert place[1] != near.place.port
+    message = await far.receive(far.metatraffic)
+    *_, port, address = struct.unpack("<HHiI12x4s", message[-28:])
+    place = (socket.inet_ntoa(address), port)
+    assert place == address_of("robot", near.place)
     return place
 
 
 @asynccontextmanager
 async def cell(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
+    monkeypatch: pytest.MonkeyPatch,
 ) -> AsyncIterator[tuple[Relays, Participant, Participant]]:
     """Both relays, and a participant beside each."""
     with ExitStack() as stack:
-        relays = Relays(folder, monkeypatch)
+        relays = Relays(monkeypatch)
         stack.callback(lambda: relays.close())
         near, far = (stack.enter_context(closing(Participant(name))) for name in (b"near", b"far"))
         yield relays, near, far
 
 
 def test_messages_reach_the_participant_that_announced_itself(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    """Also by the next relay, at the same address."""
+
     async def scenario() -> None:
-        async with cell(tmp_path, monkeypatch) as (relays, near, far):
-            far.data.sendto(b"before", await meet(near, far))
+        async with cell(monkeypatch) as (relays, near, far):
+            place = await meet(near, far)
+            relays.close()
+            relays.robot, relays.gpu = relays.open("robot"), relays.open("gpu")
+            assert await meet(near, far) == place
+            far.data.sendto(b"before", place)
             assert await near.receive(near.data) == b"before"
             # an open port that no participant has announced
             relays.robot.deliver("gpu", ParticipantPort(near.name, far.place.port), b"elsewhere")
@@ -130,31 +131,17 @@ def test_messages_reach_the_participant_that_announced_itself(
     asyncio.run(scenario())
 
 
-def test_the_next_relay_has_the_ports_of_the_last_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(("limit", "value"), [("_MOST_PORTS", 0), ("_FORGOTTEN_S", -1.0)])
+def test_ports_of_a_machine_are_few_and_forgotten(
+    monkeypatch: pytest.MonkeyPatch, limit: str, value: float
 ) -> None:
+    monkeypatch.setattr(ports, limit, value)
+
     async def scenario() -> None:
-        async with cell(tmp_path, monkeypatch) as (relays, near, far):
-            place = await meet(near, far)
-            relays.close()
-            relays.robot, relays.gpu = relays.open("robot"), relays.open("gpu")
-            far.data.sendto(b"after", place)
-            assert await near.receive(near.data) == b"after"
+        async with cell(monkeypatch) as (relays, near, far):
+            address = await meet(near, far)
+            relays.gpu.forget()
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+                free.bind(address)
 
     asyncio.run(scenario())
-
-
-@pytest.mark.parametrize("content", ["{", "[]", '{"here": {"x": "y"}}'])
-def test_a_damaged_record_is_told_and_not_used(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    caplog: pytest.LogCaptureFixture,
-    content: str,
-) -> None:
-    async def scenario() -> None:
-        async with cell(tmp_path, monkeypatch) as (_, near, far):
-            await meet(near, far)
-
-    (tmp_path / "gpu.json").write_text(content)
-    asyncio.run(scenario())
-    assert "damaged" in caplog.text

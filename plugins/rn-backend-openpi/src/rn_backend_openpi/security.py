@@ -10,7 +10,6 @@ import os
 import secrets
 import socket
 import ssl
-import stat
 from asyncio.trsock import TransportSocket
 from collections.abc import Sequence
 from contextlib import suppress
@@ -21,7 +20,13 @@ from urllib.parse import urlsplit
 from rn_backend_openpi.engines import url_of
 from rn_backend_openpi.options import PolicyOptions
 from rn_backend_openpi.server_options import ListenOptions
-from roboneuron import ConfigurationError, MissingDependencyError, install_command
+from roboneuron import (
+    ConfigurationError,
+    ForeignDataError,
+    MissingDependencyError,
+    foreign,
+    install_command,
+)
 
 if TYPE_CHECKING:
     from rn_link.machine import Machine
@@ -30,7 +35,7 @@ log = logging.getLogger(__name__)
 LEAST_TOKEN = 16
 MOST_TOKEN = 1024
 _MOST_FILE = 4096
-_LINK_FILES = ("link.json", "own.pem", "own.key")
+_LINK_FILES = ("link.json", "own.pem")
 _PAIR = "Pair the machines with `roboneuron link`, the robot's machine being the hub."
 
 
@@ -70,16 +75,9 @@ def read_token(path: Path) -> str:
             1024 printable ASCII characters.
     """
     try:
-        found = path.stat()
-        if not stat.S_ISREG(found.st_mode) or found.st_size > _MOST_FILE:
-            raise ConfigurationError(f"{path} is no small file with a token.")
-        text = path.read_text(encoding="ascii").strip()
-    except (OSError, ValueError) as error:
+        text = foreign.read_text(path, most_bytes=_MOST_FILE, is_secret=True).strip()
+    except (FileNotFoundError, ForeignDataError) as error:
         raise ConfigurationError(f"The token file {path} cannot be read: {error}.") from error
-    if found.st_mode & 0o077:
-        raise ConfigurationError(
-            f"Others may read the token file {path}.", hint=f"Type `chmod 600 {path}`."
-        )
     is_printable = all("!" <= character <= "~" for character in text)
     if not is_printable or not LEAST_TOKEN <= len(text) <= MOST_TOKEN:
         raise ConfigurationError(
@@ -175,15 +173,12 @@ def _client_context(options: PolicyOptions) -> ssl.SSLContext:
     if its file holds no certificate.
     """
     try:
-        context = ssl.create_default_context(cafile=options.ca_file)
+        return ssl.create_default_context(cafile=options.ca_file)
     except OSError as error:
         raise ConfigurationError(
             f"{options.ca_file} holds no certificate: {error}.",
             hint="ca_file is a PEM file.",
         ) from error
-    # an address has no name that a certificate could hold: the file is that of its issuer alone
-    context.check_hostname = options.address is None
-    return context
 
 
 def link_stamps() -> Sequence[object]:
@@ -192,9 +187,7 @@ def link_stamps() -> Sequence[object]:
         from rn_link.machine import link_folder
     except ModuleNotFoundError:
         return ()
-    folder = link_folder()
-    paths = [folder / name for name in _LINK_FILES] + sorted(folder.glob("peers/*.pem"))
-    return tuple((path.name, _stamp(path)) for path in paths)
+    return tuple(_stamp(link_folder() / name) for name in _LINK_FILES)
 
 
 def _stamp(path: Path) -> int:
@@ -217,10 +210,7 @@ def _linked_place(options: PolicyOptions) -> ServerAddress:
             f"{host!r} cannot be reached with its keys.",
             hint=f"Name a paired machine. {_PAIR}",
         )
-    try:
-        context = tls_context(machine, folder, found[0])
-    except OSError as error:
-        raise ConfigurationError(f"The keys of the link cannot be used: {error}.") from error
+    context = tls_context(machine, folder, found[0])
     return ServerAddress(url_of(options), machine.peers[found[0]].address, int(port), context)
 
 
@@ -297,7 +287,7 @@ class Guard:
         self._stamps = stamps
         try:
             self._context = _member_context()
-        except (ConfigurationError, OSError):
+        except ConfigurationError:
             self._context = None
         return True
 
@@ -327,8 +317,9 @@ def _server_context(options: ListenOptions) -> ssl.SSLContext | None:
         return None
     context = _context(ssl.PROTOCOL_TLS_SERVER)
     try:
+        foreign.read_bytes(options.key or options.certificate, is_secret=True)
         context.load_cert_chain(options.certificate, options.key)
-    except OSError as error:
+    except (OSError, ForeignDataError) as error:
         key = f" and {options.key}" if options.key is not None else ""
         raise ConfigurationError(
             f"The certificate {options.certificate}{key} cannot be used: {error}."
@@ -346,10 +337,7 @@ def _member_context() -> ssl.SSLContext:
             hint=_PAIR,
         )
     (hub,) = machine.peers
-    try:
-        return tls_context(machine, folder, hub)
-    except OSError as error:
-        raise ConfigurationError(f"The keys of the link cannot be used: {error}.") from error
+    return tls_context(machine, folder, hub)
 
 
 def tune(connected: socket.socket | TransportSocket, silent_s: float) -> None:

@@ -1,6 +1,8 @@
-"""The environment with which a process joins the link; set before rclpy is imported.
+"""The environment with which a process joins the link, set before rclpy is imported, and the Fast
+DDS profile that it names: ROS stays on the loopback interface.
 
-Standard library only: every process imports this while it discovers plugins.
+Standard library only: every process imports this while it discovers plugins. Source: Fast DDS 2.14
+XML profiles.
 """
 
 from __future__ import annotations
@@ -11,11 +13,11 @@ from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path
 
-from rn_link.machine import link_folder, read_machine
+from rn_link.machine import DISCOVERY_PORT, LOOPBACK, PROFILE, RELAY, link_folder, read_machine
 from roboneuron import ConfigurationError
 
 log = logging.getLogger(__name__)
-PROFILE = "FASTRTPS_DEFAULT_PROFILES_FILE"
+VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
 RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 OTHERS = (
     "FASTDDS_DEFAULT_PROFILES_FILE",
@@ -28,6 +30,11 @@ OTHERS = (
 _SHIPPED = files("roboneuron") / "data" / "fastdds.xml"
 SWITCH = "ROBONEURON_LINK"
 """Environment variable; "off" keeps a process on this machine."""
+_BUFFER_BYTES = 4_194_304
+"""Size of a participant's UDP socket buffer: an image arrives as many datagrams at once."""
+_BUFFER_LIMIT = Path("/proc/sys/net/core/rmem_max")
+_UDP, _BUILTIN = "<type>UDPv4</type>", "</builtin>"
+"""Places of the shipped profile."""
 
 
 def join_link() -> None:
@@ -41,7 +48,7 @@ def join_link() -> None:
         machine = read_machine(folder)
         if machine is not None and machine.peers and os.environ.get(SWITCH) != "off":
             check_unopposed(os.environ, folder)
-            os.environ[PROFILE] = str(folder / "fastdds.xml")
+            os.environ[VARIABLE] = str(folder / PROFILE)
             # LOCALHOST, the project's default, would replace the profile's peers; the profile
             # restricts ROS likewise
             os.environ[RANGE] = "SYSTEM_DEFAULT"
@@ -51,7 +58,7 @@ def join_link() -> None:
 
 def uses_link() -> bool:
     """True if this process has joined the link."""
-    return os.environ.get(PROFILE) == str(link_folder() / "fastdds.xml")
+    return os.environ.get(VARIABLE) == str(link_folder() / PROFILE)
 
 
 def check_unopposed(environment: Mapping[str, str], folder: Path) -> None:
@@ -61,7 +68,7 @@ def check_unopposed(environment: Mapping[str, str], folder: Path) -> None:
         ConfigurationError: names the variable.
     """
     allowed = {
-        PROFILE: {str(folder / "fastdds.xml"), str(_SHIPPED)},
+        VARIABLE: {str(folder / PROFILE), str(_SHIPPED)},
         "RMW_IMPLEMENTATION": {"rmw_fastrtps_cpp"},
     }
     wrong = [
@@ -76,3 +83,28 @@ def check_unopposed(environment: Mapping[str, str], folder: Path) -> None:
             "setting.",
             hint=f"Unset {' and '.join(wrong)}, or remove the link with `roboneuron link remove`.",
         )
+
+
+def fast_dds_profile() -> str:
+    """Return the shipped profile with UDP restricted to the loopback interface, and the relay as a
+    peer.
+
+    Processes of one machine find each other by UDP on the loopback interface, as without a link.
+
+    Raises:
+        LookupError: the shipped profile is of another form.
+    """
+    shipped = _SHIPPED.read_text(encoding="utf-8")
+    if [shipped.count(place) for place in (_UDP, _BUILTIN)] != [1, 1]:
+        raise LookupError(f"{_SHIPPED} does not have {_UDP} and {_BUILTIN} once")
+    size = min(_BUFFER_BYTES, int(_BUFFER_LIMIT.read_text(encoding="ascii")))
+    udp = f"""{_UDP}
+      <receiveBufferSize>{size}</receiveBufferSize>
+      <interfaceWhiteList><address>{LOOPBACK}</address></interfaceWhiteList>"""
+    relay = f"<address>{RELAY}</address><port>{DISCOVERY_PORT}</port>"
+    peers = f"""<initialPeersList>
+          <locator><udpv4>{relay}</udpv4></locator>
+          <locator><udpv4><address>{LOOPBACK}</address></udpv4></locator>
+        </initialPeersList>
+      {_BUILTIN}"""
+    return shipped.replace(_UDP, udp).replace(_BUILTIN, peers)

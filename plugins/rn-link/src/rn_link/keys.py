@@ -1,43 +1,34 @@
-"""This machine's key, its certificate and those of its peers; the only module that writes them.
+"""This machine's key and the certificates that it trusts; the only module that writes them.
 
-Each machine signs its own certificate and trusts exactly the certificates in `peers/`: there is no
-authority, and removing a file revokes a machine. They do not expire, so that no robot stops on a
+Each machine signs its own certificate and trusts exactly those of its peers: there is no
+authority, and removing an entry revokes a machine. They do not expire, so that no robot stops on a
 day that nobody thought of, or because its clock is wrong.
 """
 
 from __future__ import annotations
 
-import os
 import shutil
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import NamedTuple
 
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import NameOID
 
-from rn_link.machine import FILE, Machine, Peer, check_name, read_machine
-from rn_link.profile import fast_dds_profile
-from roboneuron import ConfigurationError
+from rn_link.environment import fast_dds_profile
+from rn_link.machine import FILE, IDENTITY, PROFILE, Machine, Peer, check_name, read_machine
+from roboneuron import ConfigurationError, foreign
 
 _SINCE = datetime(2000, 1, 1, tzinfo=UTC)
 _FOR_EVER = datetime(9999, 12, 31, 23, 59, 59, tzinfo=UTC)
 """No end of validity. Source: RFC 5280, 4.1.2.5."""
 
 
-class Identity(NamedTuple):
-    """A key and its certificate (PEM)."""
-
-    key: bytes
-    certificate: bytes
-
-
-def new_identity() -> Identity:
-    """Return a new key (P-256), without a password because modules start without a person, and its
-    self-signed certificate.
+def new_identity() -> str:
+    """Return a new self-signed certificate and its key (P-256), which has no password because
+    modules start without a person; PEM.
     """
     key = ec.generate_private_key(ec.SECP256R1())
     name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "RoboNeuron link")])
@@ -52,20 +43,23 @@ def new_identity() -> Identity:
         .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
         .sign(key, hashes.SHA256())
     )
-    return Identity(
-        key.private_bytes(
-            serialization.Encoding.PEM,
-            serialization.PrivateFormat.PKCS8,
-            serialization.NoEncryption(),
-        ),
-        certificate.public_bytes(serialization.Encoding.PEM),
+    private = key.private_bytes(
+        serialization.Encoding.PEM,
+        serialization.PrivateFormat.PKCS8,
+        serialization.NoEncryption(),
     )
+    return certificate.public_bytes(serialization.Encoding.PEM).decode() + private.decode()
 
 
-def to_certificate(text: str) -> bytes:
+def to_certificate(text: str) -> str:
     """Return the first certificate of a PEM text, and nothing else of it; raises ValueError."""
     found = x509.load_pem_x509_certificate(text.encode())
-    return found.public_bytes(serialization.Encoding.PEM)
+    return found.public_bytes(serialization.Encoding.PEM).decode()
+
+
+def own_certificate(folder: Path) -> str:
+    """Return this machine's certificate (PEM), without its key."""
+    return to_certificate((folder / IDENTITY).read_text(encoding="ascii"))
 
 
 def check_no_link(folder: Path) -> None:
@@ -78,27 +72,28 @@ def check_no_link(folder: Path) -> None:
         )
 
 
-def make_machine(folder: Path, machine: Machine, identity: Identity) -> None:
-    """Store this machine's part of a link, still without peers.
+def make_machine(folder: Path, machine: Machine, identity: str) -> None:
+    """Store this machine's part of a link.
 
     Raises:
         ConfigurationError: it has one, or the name cannot be used.
     """
-    check_name(machine.name)
+    for name in (machine.name, *machine.peers):
+        check_name(name)
     check_no_link(folder)
-    for one in (folder, folder / "peers"):
-        one.mkdir(parents=True, exist_ok=True)
-        one.chmod(0o700)
-    write_private(folder / "own.key", identity.key)
-    write_private(folder / "own.pem", identity.certificate)
-    _publish(folder, machine)
+    folder.mkdir(parents=True, exist_ok=True)
+    folder.chmod(0o700)
+    foreign.write_private(folder / IDENTITY, identity)
+    foreign.write_private(folder / PROFILE, fast_dds_profile())
+    # last the file that makes processes use the link
+    _store(folder, machine)
 
 
 def check_new_peer(folder: Path, name: str) -> Machine:
     """Return this machine's part of the link, if a machine of that name can be added.
 
     Raises:
-        ConfigurationError: this machine has no link, has a hub already, or the name is taken.
+        ConfigurationError: this machine has no link, has a hub, or the name is taken.
     """
     machine = read_machine(folder)
     if machine is None:
@@ -106,7 +101,7 @@ def check_new_peer(folder: Path, name: str) -> Machine:
             "This machine has no link.",
             hint="Type `roboneuron link init` first, on the robot's machine.",
         )
-    if machine.role == "member" and machine.peers:
+    if machine.role == "member":
         (hub,) = machine.peers
         raise ConfigurationError(
             f"This machine is a member of the link of {hub}.", hint=f"Type the command on {hub}."
@@ -123,11 +118,10 @@ def check_new_peer(folder: Path, name: str) -> Machine:
     return machine
 
 
-def add_peer(folder: Path, name: str, peer: Peer, certificate: bytes) -> None:
-    """Trust a machine, whose certificate (PEM) this is; raises as `check_new_peer`."""
+def add_peer(folder: Path, name: str, peer: Peer) -> None:
+    """Let this hub trust a machine; raises as `check_new_peer`."""
     machine = check_new_peer(folder, name)
-    write_private(_certificate_of(folder, name), certificate)
-    _publish(folder, replace(machine, peers={**machine.peers, name: peer}))
+    _store(folder, replace(machine, peers={**machine.peers, name: peer}))
 
 
 def remove_peer(folder: Path, name: str) -> None:
@@ -145,10 +139,9 @@ def remove_peer(folder: Path, name: str) -> None:
         )
     if machine.role == "member":
         remove_all(folder)
-        return
-    left = {other: peer for other, peer in machine.peers.items() if other != name}
-    _publish(folder, replace(machine, peers=left))
-    _certificate_of(folder, name).unlink(missing_ok=True)
+    else:
+        left = {other: peer for other, peer in machine.peers.items() if other != name}
+        _store(folder, replace(machine, peers=left))
 
 
 def remove_all(folder: Path) -> None:
@@ -164,23 +157,5 @@ def remove_all(folder: Path) -> None:
     shutil.rmtree(folder)
 
 
-def write_private(path: Path, content: bytes) -> None:
-    """Replace a file atomically by one that only this user may read."""
-    fresh = path.with_name(f".{path.name}.new")
-    fresh.unlink(missing_ok=True)
-    descriptor = os.open(fresh, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-    with os.fdopen(descriptor, "wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-    fresh.replace(path)
-
-
-def _certificate_of(folder: Path, name: str) -> Path:
-    return folder / "peers" / f"{name}.pem"
-
-
-def _publish(folder: Path, machine: Machine) -> None:
-    """Write the files that processes read; last the one that makes them use the link."""
-    write_private(folder / "fastdds.xml", fast_dds_profile().encode())
-    write_private(folder / FILE, machine.to_json().encode())
+def _store(folder: Path, machine: Machine) -> None:
+    foreign.write_private(folder / FILE, machine.to_json())

@@ -6,7 +6,6 @@ Standard library only: every process imports this.
 from __future__ import annotations
 
 import json
-import logging
 import os
 import re
 from collections.abc import Mapping
@@ -15,13 +14,8 @@ from ipaddress import IPv4Address
 from pathlib import Path
 from typing import Literal, NamedTuple
 
-from roboneuron import (
-    ConfigurationError,
-    ForeignDataError,
-    foreign,
-)
+from roboneuron import ConfigurationError, ForeignDataError, foreign
 
-log = logging.getLogger("rn_link")
 Role = Literal["hub", "member"]
 """The hub admits machines and connects to its members, which listen."""
 PORT = 7411
@@ -29,21 +23,12 @@ PORT = 7411
 LOOPBACK = "127.0.0.1"
 RELAY = "127.90.0.1"
 """Address at which the relay receives announcements of this machine's participants."""
-THERE = "127.90.1.1"
-"""Address at which the relay receives messages for participants of other machines."""
 DISCOVERY_PORT = 7399
 """UDP port at that address; below those of ROS, which start at 7400."""
+FILE, IDENTITY, PROFILE = "link.json", "own.pem", "fastdds.xml"
+"""Files of the link's folder: `Machine`, this machine's certificate and key, the profile of ROS."""
 _NAME = re.compile(r"[a-z0-9][a-z0-9-]{0,30}")
-FILE = "link.json"
-
-
-def check_port(port: int) -> int:
-    """Raise ConfigurationError unless it is a port of an unprivileged process."""
-    if not 1024 <= port <= 65535:
-        raise ConfigurationError(
-            f"The link cannot use port {port}.", hint="Name one between 1024 and 65535."
-        )
-    return port
+_MOST_CERTIFICATE = 16_384
 
 
 class Peer(NamedTuple):
@@ -51,11 +36,11 @@ class Peer(NamedTuple):
 
     Attributes:
         address: IPv4 address.
-        port: TCP port that it listens on; that of a hub is not used.
+        certificate: the only one that it is known by; PEM.
     """
 
     address: str
-    port: int = PORT
+    certificate: str
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -64,7 +49,6 @@ class Machine:
 
     name: str
     role: Role
-    port: int = PORT
     peers: Mapping[str, Peer] = field(default_factory=dict)
 
     def to_json(self) -> str:
@@ -83,9 +67,7 @@ def check_name(name: str) -> str:
 
 
 def check_address(address: str) -> str:
-    """Raise ConfigurationError unless it is an IPv4 address: the transport does not resolve
-    names.
-    """
+    """Raise ConfigurationError unless it is an IPv4 address."""
     try:
         return str(IPv4Address(address))
     except ValueError as error:
@@ -100,16 +82,6 @@ def link_folder() -> Path:
     return Path(base) / "roboneuron" / "link"
 
 
-def write_state(path: Path, text: str) -> None:
-    """Replace a file of the relay, unless that fails, as while the link is being removed."""
-    fresh = path.with_suffix(".new")
-    try:
-        fresh.write_text(text, encoding="utf-8")
-        fresh.replace(path)
-    except OSError as error:
-        log.warning("%s cannot be saved: %s", path.name, error)
-
-
 def read_machine(folder: Path) -> Machine | None:
     """Return this machine's part of the link; None if it has none.
 
@@ -118,7 +90,16 @@ def read_machine(folder: Path) -> Machine | None:
     """
     path = folder / FILE
     try:
-        return _parse(foreign.read_json(path))
+        facts = foreign.read_json(path)
+        role = foreign.choice(foreign.field(facts, "role"), "role", ("hub", "member"))
+        peers = foreign.table(foreign.field(facts, "peers"), "peers")
+        if role == "member" and len(peers) != 1:
+            raise ForeignDataError(f"a member has one hub, here {len(peers)}")
+        return Machine(
+            name=check_name(foreign.text(foreign.field(facts, "name"), "name")),
+            role="hub" if role == "hub" else "member",
+            peers={check_name(name): _peer(found) for name, found in peers.items()},
+        )
     except FileNotFoundError:
         return None
     except (ForeignDataError, ConfigurationError) as error:
@@ -128,18 +109,9 @@ def read_machine(folder: Path) -> Machine | None:
         ) from error
 
 
-def _parse(facts: object) -> Machine:
-    role = foreign.choice(foreign.field(facts, "role"), "role", ("hub", "member"))
-    peers = foreign.table(foreign.field(facts, "peers"), "peers")
-    return Machine(
-        name=check_name(foreign.text(foreign.field(facts, "name"), "name")),
-        role="hub" if role == "hub" else "member",
-        port=check_port(foreign.integer(foreign.field(facts, "port"), "port")),
-        peers={check_name(name): _peer(facts) for name, facts in peers.items()},
-    )
-
-
 def _peer(facts: object) -> Peer:
-    address, port = foreign.items(facts, "a machine", least=2, most=2)
-    place = check_address(foreign.text(address, "an address"))
-    return Peer(place, check_port(foreign.integer(port, "a port")))
+    address, certificate = foreign.items(facts, "a machine", least=2, most=2)
+    return Peer(
+        check_address(foreign.text(address, "an address")),
+        foreign.text(certificate, "a certificate", _MOST_CERTIFICATE),
+    )

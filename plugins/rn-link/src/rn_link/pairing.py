@@ -4,7 +4,7 @@ Both derive a key from the code by SPAKE2 (the library `spake2`, which magic-wor
 exchange their certificates encrypted with it (Fernet, of `cryptography`). A machine without the
 code learns nothing and changes nothing; each attempt tries one code. The library does not compute
 in constant time: its author says what that may tell about a code, which is valid for five minutes
-and three attempts. Messages are lines of JSON; keys never leave their machines.
+and three attempts. Messages are lines; keys never leave their machines.
 """
 
 from __future__ import annotations
@@ -15,8 +15,7 @@ import secrets
 import socket
 from base64 import urlsafe_b64encode
 from collections.abc import Callable
-from contextlib import closing
-from dataclasses import replace
+from contextlib import closing, suppress
 from pathlib import Path
 
 from cryptography.fernet import Fernet, InvalidToken
@@ -28,10 +27,12 @@ from rn_link.keys import (
     check_new_peer,
     make_machine,
     new_identity,
+    own_certificate,
     remove_peer,
     to_certificate,
 )
-from rn_link.machine import Machine, Peer, check_port
+from rn_link.machine import Machine, Peer
+from rn_link.tls import Handshakes
 from roboneuron import ConfigurationError, ForeignDataError, foreign
 
 PAIRING_PORT = 7410
@@ -55,7 +56,7 @@ def new_code() -> str:
     return f"{secrets.randbelow(10**6):06}"
 
 
-def open_listener(port: int) -> socket.socket:
+def open_listener(port: int = PAIRING_PORT) -> socket.socket:
     """Listen for members.
 
     Raises:
@@ -66,7 +67,7 @@ def open_listener(port: int) -> socket.socket:
     except OSError as error:
         raise ConfigurationError(
             f"The link cannot listen on port {port}: {error.strerror or error}.",
-            hint="Name another with --port, and `--join ADDRESS:PORT` on the other machine.",
+            hint="End the process that uses that port.",
         ) from error
 
 
@@ -91,16 +92,17 @@ class PairingHub:
         self._code = code
         self._notify = notify
         self._hub = check_new_peer(folder, name)
+        self._handshakes = Handshakes()
         self._begun = 0
         self._ended = 0
 
-    async def serve(self, listener: socket.socket, limit_s: float = PAIRING_S) -> Peer:
-        """Pair with the machine that knows the code, and return it.
+    async def serve(self, listener: socket.socket, limit_s: float = PAIRING_S) -> str:
+        """Pair with the machine that knows the code, and return its address.
 
         Raises:
             ConfigurationError: none within `limit_s` [s] and ATTEMPTS.
         """
-        self._admitted: asyncio.Future[Peer] = asyncio.get_running_loop().create_future()
+        self._admitted: asyncio.Future[str] = asyncio.get_running_loop().create_future()
         server = await asyncio.start_server(self._answer, sock=listener, limit=_MOST_BYTES)
         try:
             return await asyncio.wait_for(self._admitted, limit_s)
@@ -108,57 +110,59 @@ class PairingHub:
             raise self._over(f"No machine has paired within {limit_s:g} s.") from error
         finally:
             server.close()
+            self._handshakes.end()
 
     def _over(self, sentence: str) -> ConfigurationError:
         again = f"Type `roboneuron link add {self._name}` again for a new code."
         return ConfigurationError(sentence, hint=again)
 
     async def _answer(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        # who sends nothing, or something else than a share, has tried no code
+        with self._handshakes.begun(writer), closing(writer), suppress(PairingError, OSError):
+            async with asyncio.timeout(_ATTEMPT_S):
+                theirs = await _receive(reader)
+            if self._begun == ATTEMPTS:
+                return
+            exchange = SPAKE2_B(self._code.encode(), **_SIDES)
+            share = exchange.start()
+            cipher = _agree(exchange, theirs)
+            # from here on the other side can try a code, even without answering
+            self._begun += 1
+            await self._attempt(cipher, share, reader, writer)
+
+    async def _attempt(
+        self,
+        cipher: Fernet,
+        share: bytes,
+        reader: asyncio.StreamReader,
+        writer: asyncio.StreamWriter,
+    ) -> None:
         address = str(writer.get_extra_info("peername", ("?",))[0])
         try:
             async with asyncio.timeout(_ATTEMPT_S):
-                peer = await self._admit(address, reader, writer)
-        except (PairingError, ConfigurationError, OSError) as error:
+                await _send(writer, share.hex().encode())
+                (sent,) = _open(cipher, await _receive(reader), "certificate")
+                own = own_certificate(self._folder)
+                add_peer(self._folder, self._name, Peer(address, to_certificate(sent)))
+                try:
+                    names = {"hub": self._hub.name, "name": self._name}
+                    await _send(writer, _seal(cipher, **names, certificate=own))
+                    writer.close()
+                    await writer.wait_closed()
+                except (OSError, asyncio.CancelledError):
+                    remove_peer(self._folder, self._name)
+                    raise
+            self._admitted.set_result(address)
+        except (ValueError, ConfigurationError, OSError) as error:
             self._notify(f"{address}: {str(error) or 'no answer in time'}.")
+        finally:
+            self._ended += 1
             if self._ended == ATTEMPTS and not self._admitted.done():
                 told = f"{ATTEMPTS} attempts had a wrong code; the code is no longer valid."
                 self._admitted.set_exception(self._over(told))
-        else:
-            self._admitted.set_result(peer)
-        finally:
-            writer.close()
-
-    async def _admit(
-        self, address: str, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
-    ) -> Peer:
-        exchange = SPAKE2_B(self._code.encode(), **_SIDES)
-        share = exchange.start()
-        cipher = _agree(exchange, await _receive(reader, "share"))
-        if self._begun == ATTEMPTS:
-            raise PairingError(f"{ATTEMPTS} other attempts have begun")
-        # from here on the other side can try a code, even without answering
-        self._begun += 1
-        try:
-            await _send(writer, share=share.hex())
-            certificate, port = await _open(reader, cipher, "certificate", "port")
-            peer = Peer(address, _port(port))
-            add_peer(self._folder, self._name, peer, _certificate(certificate))
-            own = (self._folder / "own.pem").read_text(encoding="ascii")
-            try:
-                await _seal(writer, cipher, hub=self._hub.name, name=self._name, certificate=own)
-                writer.close()
-                await writer.wait_closed()
-            except (OSError, asyncio.CancelledError):
-                remove_peer(self._folder, self._name)
-                raise
-            return peer
-        finally:
-            self._ended += 1
 
 
-async def join(
-    folder: Path, address: str, port: int, code: str, own_port: int, limit_s: float = _ATTEMPT_S
-) -> Machine:
+async def join(folder: Path, address: str, code: str, port: int = PAIRING_PORT) -> Machine:
     """Become a member of the link of the hub at that address, and return this machine's part.
 
     Raises:
@@ -167,17 +171,17 @@ async def join(
     """
     identity = new_identity()
     try:
-        async with asyncio.timeout(limit_s):
+        async with asyncio.timeout(_ATTEMPT_S):
             reader, writer = await asyncio.open_connection(address, port, limit=_MOST_BYTES)
             with closing(writer):
                 exchange = SPAKE2_A(code.encode(), **_SIDES)
-                await _send(writer, share=exchange.start().hex())
-                cipher = _agree(exchange, await _receive(reader, "share"))
-                own = identity.certificate.decode()
-                await _seal(writer, cipher, certificate=own, port=str(own_port))
-                hub, name, theirs = await _open(reader, cipher, "hub", "name", "certificate")
-                certificate = _certificate(theirs)
-    except PairingError as error:
+                await _send(writer, exchange.start().hex().encode())
+                cipher = _agree(exchange, await _receive(reader))
+                await _send(writer, _seal(cipher, certificate=to_certificate(identity)))
+                sealed = await _receive(reader)
+        hub, name, sent = _open(cipher, sealed, "hub", "name", "certificate")
+        peers = {hub: Peer(address, to_certificate(sent))}
+    except ValueError as error:
         raise ConfigurationError(
             f"{address} has not admitted this machine: {error}.",
             hint="Check the code; after a wrong one type `roboneuron link init --join` again.",
@@ -187,61 +191,45 @@ async def join(
             f"No hub answers at {address}, port {port}: {error.strerror or error or 'no answer'}.",
             hint="Type `roboneuron link add NAME` on the hub first, and allow TCP to that port.",
         ) from error
-    machine = Machine(name=name, role="member", port=own_port)
+    machine = Machine(name=name, role="member", peers=peers)
     make_machine(folder, machine, identity)
-    add_peer(folder, hub, Peer(address), certificate)
-    return replace(machine, peers={hub: Peer(address)})
+    return machine
 
 
-def _certificate(text: str) -> bytes:
-    try:
-        return to_certificate(text)
-    except ValueError as error:
-        raise PairingError("the other side has sent no certificate") from error
-
-
-def _port(text: str) -> int:
-    try:
-        return check_port(int(text))
-    except (ValueError, ConfigurationError) as error:
-        raise PairingError("the member named no port") from error
-
-
-def _agree(exchange: SPAKE2_A | SPAKE2_B, share: list[str]) -> Fernet:
+def _agree(exchange: SPAKE2_A | SPAKE2_B, share: bytes) -> Fernet:
     """The cipher of both sides, if they have the same code."""
     try:
-        other = foreign.octets(share[0], "a share")
-        if len(other) != _SHARE_BYTES:
-            raise PairingError("the other side sent no valid share")
-        return Fernet(urlsafe_b64encode(exchange.finish(other)))
-    except (SPAKEError, NotOnCurve, ForeignDataError, ValueError) as error:
+        other = bytes.fromhex(share.decode())
+        if len(other) == _SHARE_BYTES:
+            return Fernet(urlsafe_b64encode(exchange.finish(other)))
+    except (SPAKEError, NotOnCurve, ValueError) as error:
         raise PairingError("the other side sent no valid share") from error
+    raise PairingError("the other side sent no valid share")
 
 
-async def _send(writer: asyncio.StreamWriter, **fields: str) -> None:
-    writer.write(json.dumps(fields).encode() + b"\n")
+async def _send(writer: asyncio.StreamWriter, line: bytes) -> None:
+    writer.write(line + b"\n")
     await writer.drain()
 
 
-async def _receive(reader: asyncio.StreamReader, *names: str) -> list[str]:
+async def _receive(reader: asyncio.StreamReader) -> bytes:
     try:
         line = await reader.readline()
     except ValueError as error:  # longer than the limit
         raise PairingError(_FOREIGN) from error
     if not line:
         raise PairingError("the other side has closed the connection")
-    return parse(line, *names)
+    return line.strip()
 
 
-async def _seal(writer: asyncio.StreamWriter, cipher: Fernet, **fields: str) -> None:
-    await _send(writer, sealed=cipher.encrypt(json.dumps(fields).encode()).decode())
+def _seal(cipher: Fernet, **fields: str) -> bytes:
+    return cipher.encrypt(json.dumps(fields).encode())
 
 
-async def _open(reader: asyncio.StreamReader, cipher: Fernet, *names: str) -> list[str]:
+def _open(cipher: Fernet, sealed: bytes, *names: str) -> list[str]:
     """The fields of the two sides have other names, so that none can send a message back."""
-    (sealed,) = await _receive(reader, "sealed")
     try:
-        content = cipher.decrypt(sealed.encode())
+        content = cipher.decrypt(sealed)
     except InvalidToken as error:
         raise PairingError("the code is not that of the other machine") from error
     return parse(content, *names)

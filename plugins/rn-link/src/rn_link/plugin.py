@@ -6,9 +6,7 @@ FEATURE = FeatureSpec(
     name="link",
     summary="Encrypts and authenticates ROS between paired machines.",
     target="rn_link.feature:LinkFeature",
-    config="rn_link.feature:LinkOptions",
     on_discovery="rn_link.environment:join_link",
-    on_join="rn_link.keeper:keep_link",
 )
 """Descriptor of the feature."""
 

@@ -5,18 +5,16 @@ of other machines.
 from __future__ import annotations
 
 import asyncio
-import json
+import hashlib
 import logging
 import socket
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from pathlib import Path
 from typing import NamedTuple
 
-from rn_link.machine import DISCOVERY_PORT, LOOPBACK, RELAY, THERE, check_name, write_state
+from rn_link.machine import DISCOVERY_PORT, LOOPBACK, RELAY
 from rn_link.rtps import Announcement, domain_of, read_announcement, with_places
-from roboneuron import ConfigurationError, ForeignDataError, foreign
 
 log = logging.getLogger(__name__)
 PARTICIPANT_BYTES = 12
@@ -28,6 +26,7 @@ _FORGOTTEN_S = 60.0
 """Three times the lease of a participant; a running one announces its ports twice a second."""
 _AT_ONCE = 64
 """Datagrams read from a socket before other sockets are served."""
+_FIRST_PORT = DISCOVERY_PORT - 255
 
 
 class ParticipantPort(NamedTuple):
@@ -48,6 +47,16 @@ DISCOVERY = ParticipantPort(bytes(PARTICIPANT_BYTES), 0)
 """All participants of the domain."""
 
 
+def address_of(machine: str, place: ParticipantPort) -> tuple[str, int]:
+    """Local address that represents the port of another machine's participant: the same at every
+    relay, so that the next one needs no memory of the last.
+    """
+    digest = hashlib.sha256(f"{machine} {place.port} ".encode() + place.participant).digest()
+    # 30 bits; apart from RELAY and LOOPBACK, and below the ports of ROS
+    host = bytes((127, 128 | digest[0] & 63, *digest[1:3]))
+    return socket.inet_ntoa(host), _FIRST_PORT + digest[3]
+
+
 class Ports:
     """Receives messages of this machine's participants, and delivers those of other machines.
 
@@ -55,25 +64,19 @@ class Ports:
 
     Args:
         forward: called with messages for other machines.
-        record: file with the ports; participants do not repeat the announcements of their readers'
-            ports, so the next relay needs the file.
     """
 
-    def __init__(self, forward: Forward, record: Path) -> None:
+    def __init__(self, forward: Forward) -> None:
         self._forward = forward
-        self._record = record
         self._loop = asyncio.get_running_loop()
-        self._discovery = _open(RELAY, DISCOVERY_PORT)
-        self._sender = _open(LOOPBACK, 0)
         # participant that last announced each port
         self._here: dict[int, bytes] = {}
         self._metatraffic: set[int] = set()
-        self._there: dict[tuple[str, ParticipantPort], socket.socket] = {}
+        self._there: dict[tuple[str | None, ParticipantPort], socket.socket] = {}
         # time at which each participant, of this or another machine, last announced a port
         self._seen_s: dict[bytes, float] = {}
-        self._saved = ""
-        self._loop.add_reader(self._discovery, self._take_announcements)
-        self._restore()
+        self._sender = _open(LOOPBACK, 0)
+        self._listen(None, DISCOVERY, (RELAY, DISCOVERY_PORT))
 
     def deliver(self, machine: str, place: ParticipantPort, message: bytes) -> None:
         """Deliver a message of another machine to this machine's participants.
@@ -83,150 +86,71 @@ class Ports:
         announced = read_announcement(message)
         if announced.ports:
             message = with_places(message, self._places(machine, announced))
-        if place != DISCOVERY:
-            if self._here.get(place.port) == place.participant:
-                self._send(place.port, message)
-            return
-        domains = announced.domains
-        for one in self._metatraffic:
-            if not domains or domain_of(one) in domains:
-                self._send(one, message)
+        if place == DISCOVERY:
+            domains = announced.domains
+            to = [one for one in self._metatraffic if not domains or domain_of(one) in domains]
+        else:
+            to = [place.port] if self._here.get(place.port) == place.participant else []
+        for port in to:
+            # a participant that has ended or is overloaded: UDP may lose messages
+            with suppress(BlockingIOError, ConnectionRefusedError):
+                self._sender.sendto(message, (LOOPBACK, port))
 
     def forget(self) -> None:
         """Close the ports of participants without recent announcements."""
         before_s = time.monotonic() - _FORGOTTEN_S
-        for participant in [one for one, seen_s in self._seen_s.items() if seen_s < before_s]:
-            del self._seen_s[participant]
-        for port, participant in list(self._here.items()):
-            if participant not in self._seen_s:
-                del self._here[port]
-                self._metatraffic.discard(port)
-        for key, made in list(self._there.items()):
-            if key[1].participant not in self._seen_s:
-                del self._there[key]
-                self._close(made)
-        self._save()
+        self._seen_s = {one: seen_s for one, seen_s in self._seen_s.items() if seen_s >= before_s}
+        self._here = {port: one for port, one in self._here.items() if one in self._seen_s}
+        self._metatraffic &= self._here.keys()
+        for key in [*self._there]:
+            if key[1] != DISCOVERY and key[1].participant not in self._seen_s:
+                self._close(self._there.pop(key))
 
     def close(self) -> None:
         """Close all ports."""
         for made in self._there.values():
             self._close(made)
-        self._there.clear()
-        self._close(self._discovery)
         self._sender.close()
 
-    def _take_announcements(self) -> None:
-        for message in _received(self._discovery):
-            self._metatraffic |= self._note(message).metatraffic
-            self._forward(None, DISCOVERY, message)
-
-    def _note(self, message: bytes) -> Announcement:
-        """Record the ports announced by one of this machine's participants; a reader may have its
-        own port.
-        """
-        announced = read_announcement(message)
-        if announced.ports:
-            self._seen_s[announced.participant] = time.monotonic()
-            found = dict.fromkeys(announced.ports, announced.participant)
-            if not found.items() <= self._here.items():
-                self._here |= found
-                self._save()
-        return announced
-
     def _places(self, machine: str, announced: Announcement) -> dict[int, tuple[bytes, int]]:
-        """Local addresses of another machine's participant for this machine's participants, by its
-        remote port.
-        """
+        """Local addresses of another machine's participant, by its port there."""
         found = {}
         self._seen_s[announced.participant] = time.monotonic()
         for port in announced.ports:
-            made = self._port_for(machine, ParticipantPort(announced.participant, port))
-            if made is not None:
-                address, here = made.getsockname()
-                found[port] = (socket.inet_aton(address), here)
+            place = ParticipantPort(announced.participant, port)
+            host, here = address_of(machine, place)
+            found[port] = socket.inet_aton(host), here
+            if (machine, place) in self._there:
+                continue
+            if sum(name == machine for name, _ in self._there) >= _MOST_PORTS:
+                log.warning("%s announces more than %d ports.", machine, _MOST_PORTS)
+                continue
+            try:
+                self._listen(machine, place, (host, here))
+            except OSError as error:
+                log.warning("A port for %s cannot be opened: %s", machine, error)
         return found
 
-    def _port_for(self, machine: str, place: ParticipantPort) -> socket.socket | None:
-        key = (machine, place)
-        if key in self._there:
-            return self._there[key]
-        if sum(name == machine for name, _ in self._there) >= _MOST_PORTS:
-            log.warning("%s announces more than %d ports.", machine, _MOST_PORTS)
-            return None
-        made = self._make_port(machine, place, 0)
-        self._save()
-        return made
-
-    def _make_port(self, machine: str, place: ParticipantPort, port: int) -> socket.socket | None:
-        try:
-            made = _open(THERE, port)
-        except OSError as error:
-            log.warning("A port for %s cannot be opened: %s", machine, error)
-            return None
+    def _listen(self, machine: str | None, place: ParticipantPort, at: tuple[str, int]) -> None:
+        """Receive messages for a port of another machine, or announcements for all machines."""
+        made = _open(*at)
         self._loop.add_reader(made, self._take, machine, place, made)
         self._there[machine, place] = made
-        return made
 
-    def _save(self) -> None:
-        facts = {
-            "here": {port: participant.hex() for port, participant in self._here.items()},
-            "metatraffic": sorted(self._metatraffic),
-            "there": [
-                [machine, place.participant.hex(), place.port, made.getsockname()[1]]
-                for (machine, place), made in self._there.items()
-            ],
-        }
-        text = json.dumps(facts)
-        if text != self._saved:
-            write_state(self._record, text)
-            self._saved = text
-
-    def _restore(self) -> None:
-        """Restore the ports of an earlier relay; participants that still run announce
-        themselves.
-        """
-        try:
-            facts = foreign.read_json(self._record, most_bytes=1 << 20)
-            here = {
-                _port(foreign.decode_json(port, "a port")): foreign.octets(one, "a participant")
-                for port, one in foreign.table(foreign.field(facts, "here"), "here").items()
-            }
-            there = []
-            for one in foreign.items(foreign.field(facts, "there"), "there", most=65_536):
-                machine, participant, port, own = foreign.items(one, "a port", least=4, most=4)
-                place = ParticipantPort(foreign.octets(participant, "a participant"), _port(port))
-                there.append((check_name(foreign.text(machine, "a machine")), place, _port(own)))
-            listed = foreign.items(foreign.field(facts, "metatraffic"), "metatraffic", most=65_536)
-            metatraffic = {_port(port) for port in listed}
-        except FileNotFoundError:
-            return
-        except (ForeignDataError, ConfigurationError) as error:
-            log.warning("%s is damaged; ROS starts discovery again: %s", self._record, error)
-            return
-        self._here |= here
-        self._metatraffic |= metatraffic
-        for machine, place, own in there:
-            self._make_port(machine, place, own)
-        participants = [*here.values(), *(place.participant for _, place, _ in there)]
-        self._seen_s |= dict.fromkeys(participants, time.monotonic())
-
-    def _take(self, machine: str, place: ParticipantPort, made: socket.socket) -> None:
-        for message in _received(made):
-            self._note(message)
-            self._forward(machine, place, message)
-
-    def _send(self, port: int, message: bytes) -> None:
-        # a participant that has ended or is overloaded: UDP may lose messages
-        with suppress(BlockingIOError, ConnectionRefusedError):
-            self._sender.sendto(message, (LOOPBACK, port))
+    def _take(self, machine: str | None, place: ParticipantPort, made: socket.socket) -> None:
+        with suppress(BlockingIOError):
+            for _ in range(_AT_ONCE):
+                message = made.recv(_MOST_BYTES)
+                announced = read_announcement(message)
+                if announced.ports:  # a reader may have its own
+                    self._seen_s[announced.participant] = time.monotonic()
+                    self._here |= dict.fromkeys(announced.ports, announced.participant)
+                    self._metatraffic |= announced.metatraffic
+                self._forward(machine, place, message)
 
     def _close(self, made: socket.socket) -> None:
         self._loop.remove_reader(made)
         made.close()
-
-
-def _port(value: object) -> int:
-    return foreign.integer(value, "a port", 1, 65_535)
 
 
 def _open(address: str, port: int) -> socket.socket:
@@ -240,11 +164,3 @@ def _open(address: str, port: int) -> socket.socket:
         made.close()
         raise
     return made
-
-
-def _received(made: socket.socket) -> list[bytes]:
-    messages: list[bytes] = []
-    with suppress(BlockingIOError):
-        while len(messages) < _AT_ONCE:
-            messages.append(made.recv(_MOST_BYTES))
-    return messages

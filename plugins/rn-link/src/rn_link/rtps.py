@@ -11,8 +11,7 @@ from __future__ import annotations
 import re
 import struct
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 _HEADER_BYTES: Final = 20
 _MESSAGE: Final = b"RTPS"
@@ -20,18 +19,17 @@ _PARTICIPANT: Final = slice(8, 20)
 _DATA: Final = 0x15
 _BUILTIN: Final = (0xC2, 0xC3)
 """Entity kinds of the discovery writers, with and without key."""
-_METATRAFFIC: Final = 0x32
+_METATRAFFIC: Final = b"\x32"
 _LOCATOR: Final = re.compile(
     # unicast of an endpoint, default unicast, metatraffic unicast; 24 bytes, UDPv4, little-endian
-    rb"([\x2f\x31\x32])\x00\x18\x00\x01\x00\x00\x00(..)(\x00{14})\x7f\x00\x00\x01",
+    rb"([\x2f\x31\x32])\x00\x18\x00\x01\x00\x00\x00(..)\x00{14}\x7f\x00\x00\x01",
     re.DOTALL,
 )
 _PORT_BASE: Final = 7400
 _DOMAIN_PORTS: Final = 250
 
 
-@dataclass(frozen=True, slots=True)
-class Announcement:
+class Announcement(NamedTuple):
     """Contents of a discovery message.
 
     Attributes:
@@ -57,11 +55,7 @@ def domain_of(port: int) -> int:
 
 def read_announcement(message: bytes) -> Announcement:
     """Return the loopback ports that a message announces."""
-    found = [
-        (locator[1][0], int.from_bytes(locator[2], "little"))
-        for begin, end in _discovery_data(message)
-        for locator in _LOCATOR.finditer(message, begin, end)
-    ]
+    found = [(locator[1], _port(locator)) for locator in _locators(message)]
     return Announcement(
         message[_PARTICIPANT],
         frozenset(port for _, port in found),
@@ -76,22 +70,20 @@ def with_places(message: bytes, places: Mapping[int, tuple[bytes, int]]) -> byte
         places: new address (4 bytes) and port, by announced port.
     """
     changed = bytearray(message)
-    for begin, end in _discovery_data(message):
-        for locator in _LOCATOR.finditer(message, begin, end):
-            place = places.get(int.from_bytes(locator[2], "little"))
-            if place is not None:
-                address, port = place
-                changed[locator.start(2) : locator.end()] = (
-                    port.to_bytes(2, "little") + locator[3] + address
-                )
+    for locator in _locators(message):
+        if place := places.get(_port(locator)):
+            changed[locator.end() - 4 : locator.end()] = place[0]
+            changed[slice(*locator.span(2))] = place[1].to_bytes(2, "little")
     return bytes(changed)
 
 
-def _discovery_data(message: bytes) -> Iterator[tuple[int, int]]:
-    """Ranges of discovery data; user data may contain anything and is skipped."""
-    if not message.startswith(_MESSAGE):
-        return
-    begin = _HEADER_BYTES
+def _port(locator: re.Match[bytes]) -> int:
+    return int.from_bytes(locator[2], "little")
+
+
+def _locators(message: bytes) -> Iterator[re.Match[bytes]]:
+    """Loopback addresses in discovery data; user data may contain anything and is skipped."""
+    begin = _HEADER_BYTES if message.startswith(_MESSAGE) else len(message)
     while begin + 4 <= len(message):
         kind, flags = message[begin], message[begin + 1]
         (length,) = struct.unpack_from("<H" if flags & 1 else ">H", message, begin + 2)
@@ -99,5 +91,5 @@ def _discovery_data(message: bytes) -> Iterator[tuple[int, int]]:
         end = begin + 4 + length if length else len(message)
         # preceded by flags, offset, reader and writer
         if kind == _DATA and begin + 16 <= len(message) and message[begin + 15] in _BUILTIN:
-            yield begin + 16, min(end, len(message))
+            yield from _LOCATOR.finditer(message, begin + 16, min(end, len(message)))
         begin = end
