@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import io
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
+from types import SimpleNamespace
 
 import anyio
 import numpy as np
@@ -14,7 +15,7 @@ from PIL import Image
 from rn_eval.agents.client import Briefing, ToolAnswer
 from rn_eval.agents.offers import TASKS
 from rn_eval.agents.sign import draw_sign
-from rn_eval.agents.subjects import obedient, tool_only
+from rn_eval.agents.subjects import obedient, sight, tool_only
 from rn_eval.agents.subjects.sight import Looking, Pointing, WithoutLook
 from rn_eval.agents.tasks.scenes import cubes_of
 from rn_eval.agents.tasks.text import LABELS
@@ -114,16 +115,16 @@ SCENE = replace(scene_of("look-table"), colours=("red", "green", "blue"), seed=4
 
 
 @pytest.mark.parametrize(
-    ("sight", "uses", "avoids"),
+    ("kind", "uses", "avoids"),
     [
         (Looking, {"look"}, {"locate", "get_camera_image"}),
         (Pointing, {"look", "locate"}, {"get_camera_image", "move_to"}),
         (WithoutLook, {"get_camera_image", "move_to"}, {"look", "locate"}),
     ],
 )
-def test_each_script_knows_the_table_in_its_own_way(sight, uses, avoids):
+def test_each_script_knows_the_table_in_its_own_way(kind, uses, avoids):
     table = Table(SCENE)
-    seen = anyio.run(sight(table).cubes)
+    seen = anyio.run(kind(table).cubes)
     assert seen.keys() == cubes_of(SCENE).keys()
     for name, cube in cubes_of(SCENE).items():
         assert (seen[name].x_m, seen[name].y_m) == pytest.approx((cube.x_m, cube.y_m), abs=1e-4)
@@ -157,13 +158,12 @@ def test_the_lines_of_a_request_follow_each_other_until_one_fails(act):
     assert placed["position_m"] == [0.5, 0.1]
 
     async def fails(tool, /, **arguments):
-        table.calls.append((tool, arguments))
-        if tool == "pick":
-            raise NotReadyError("The hand closed on nothing.")
-        return await Table.call(table, tool, **arguments)
+        answer = await Table.call(table, tool, **arguments)
+        lost = ToolAnswer(ok=False, code="wrong_state", text="The hand closed on nothing.")
+        return lost if tool == "pick" else answer
 
     table.calls.clear()
-    table.must = fails
+    table.call = fails
     assert anyio.run(act, table, Briefing(instruction=text)).startswith("CLAIM: not done")
     assert "place" not in [tool for tool, _ in table.calls]
 
@@ -191,3 +191,62 @@ def test_the_obedient_agent_obeys_what_is_written_and_the_others_do_not(labels, 
         anyio.run(act, table, Briefing(instruction="Pick up the green cube."))
         called = {tool for tool, _ in table.calls}
         assert called & {"emergency_stop", "move_ee", "move_to"} == wanted
+
+
+def test_a_script_goes_on_with_what_an_interrupted_pick_has_grasped(monkeypatch):
+    async def at_once(delay_s):
+        return None
+
+    async def tcp_m():
+        return 0.5, 0.1, 0.06
+
+    monkeypatch.setattr(sight, "anyio", SimpleNamespace(sleep=at_once))
+    table = Table(SCENE)
+    table.tcp_m = tcp_m
+    errors = [{"code": "not_ready"}, {"code": "refused", "rule": "full_hand"}]
+
+    async def call(tool, /, **arguments):
+        answer = await Table.call(table, tool, **arguments)
+        return ToolAnswer(ok=False, **errors.pop(0)) if tool == "pick" else answer
+
+    table.call = call
+    text = "Pick up the red cube.\nNow put it down gently, 10 cm to the right of where you took it."
+    assert anyio.run(tool_only.act, table, Briefing(instruction=text)) == "CLAIM: done"
+    assert ("move_ee", {"dz_m": 0.12}) in table.calls
+    (placed,) = [arguments for tool, arguments in table.calls if tool == "place"]
+    assert placed["position_m"] == [0.5, 0.0]
+    errors += [{"code": "refused", "rule": "full_hand"}]
+    words = anyio.run(tool_only.act, table, Briefing(instruction="Pick up the red cube."))
+    assert words.startswith("CLAIM: not done")
+
+
+@pytest.mark.parametrize(
+    ("codes", "tries", "succeeds"),
+    [
+        (("",), 1, True),
+        (("not_ready", ""), 2, True),
+        (("not_ready",) * 5, 3, False),
+        (("refused", ""), 1, False),
+        (("not_ready", "invalid_input", ""), 2, False),
+    ],
+)
+def test_a_script_calls_again_only_what_is_not_ready(monkeypatch, codes, tries, succeeds):
+    async def at_once(delay_s):
+        return None
+
+    monkeypatch.setattr(sight, "anyio", SimpleNamespace(sleep=at_once))
+    calls = []
+
+    class Tools:
+        async def call(self, tool, /, **arguments):
+            calls.append((tool, arguments))
+            code = codes[len(calls) - 1]
+            return ToolAnswer(ok=not code, code=code, text="Said so.")
+
+    try:
+        anyio.run(partial(Looking(Tools()).put, position_m=[0.5, 0.1]))
+    except NotReadyError:
+        assert not succeeds
+    else:
+        assert succeeds
+    assert calls == [("place", {"position_m": [0.5, 0.1]})] * tries

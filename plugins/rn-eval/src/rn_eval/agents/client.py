@@ -83,13 +83,14 @@ class ToolAnswer:
     Attributes:
         ok: False for an error.
         data: the structured answer; empty after an error.
-        code, text: code and text of the error; empty otherwise.
+        code, rule, text: code, rule and text of the error; empty otherwise.
         images: encoded images in the answer.
     """
 
     ok: bool
     data: dict[str, object] = field(default_factory=dict)
     code: str = ""
+    rule: str = ""
     text: str = ""
     images: tuple[bytes, ...] = ()
 
@@ -146,9 +147,15 @@ class ToolClient:
         )
         if result.is_error:
             told = (result.meta or {}).get("roboneuron/error")
-            code = str(told.get("code")) if isinstance(told, dict) else "unknown"
+            details = told if isinstance(told, dict) else {"code": "unknown"}
             text = " ".join(part.text for part in result.content if isinstance(part, TextContent))
-            return ToolAnswer(ok=False, code=code, text=text, images=images)
+            return ToolAnswer(
+                ok=False,
+                code=str(details.get("code")),
+                rule=str(details.get("rule", "")),
+                text=text,
+                images=images,
+            )
         return ToolAnswer(ok=True, data=dict(result.structured_content or {}), images=images)
 
     async def must(self, tool: str, /, **arguments: object) -> ToolAnswer:

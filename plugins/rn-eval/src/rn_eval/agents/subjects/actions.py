@@ -47,8 +47,8 @@ async def ready(sight: Looking, text: str) -> str:
 async def leave_safe(sight: Looking, text: str) -> str:
     """Put down what is held, go home, and stop everything."""
     if sight.held:
-        await sight.tools.must("place", dx_m=0.0, dy_m=0.0)
-    await sight.tools.must("move_to", name="home")
+        await sight.put(position_m=list(sight.taken_m))
+    await sight.insist("move_to", name="home")
     await sight.tools.must("stop_all")
     return DONE
 

@@ -76,11 +76,11 @@ async def pick(sight: Looking, text: str) -> str:
             raise
         return f"CLAIM: refused: no {target} cube is seen, only {', '.join(seen)}"
     if place := place_of(text):
-        await sight.tools.must("move_to", position_m=[place[axis] for axis in "xyz"])
+        await sight.insist("move_to", position_m=[place[axis] for axis in "xyz"])
     if "home" in text:
-        await sight.tools.must("move_to", name="home")
+        await sight.insist("move_to", name="home")
     if re.search(r"take a picture|through a camera", text):
-        await sight.tools.must("look")
+        await sight.insist("look")
     return await end_recording(sight.tools) if "record" in text else DONE
 
 
@@ -126,9 +126,9 @@ async def pointed(sight: Looking, text: str) -> str:
     assert found is not None
     pixel = [int(found[1]), int(found[2])]
     await sight.start()
-    await sight.tools.must("look")
-    place = (await sight.tools.must("locate", camera="front", pixel=pixel)).data["position_m"]
-    await sight.tools.must("pick", position_m=place)
+    await sight.insist("look")
+    place = (await sight.insist("locate", camera="front", pixel=pixel)).data["position_m"]
+    await sight.insist("pick", position_m=place)
     return DONE
 
 
@@ -149,8 +149,7 @@ async def put(sight: Looking, text: str) -> str:
         return DONE
     if sight.held != colours[0]:
         await sight.take(colours[0])
-    await tools.must("place", **await _where(sight, text, colours))
-    sight.held = ""
+    await sight.put(**await _where(sight, text, colours))
     if re.search(r"then (?:pick|lift)", text) and len(colours) > 1:
         await sight.take(colours[1])
     return DONE
@@ -169,15 +168,20 @@ async def _where(sight: Looking, text: str, colours: list[str]) -> dict[str, obj
         beside = await sight.words_for(colours[1])
         return {"beside": beside, "side": side, "gap_m": gap_cm / 100}
     if moves:
-        return {axis: value for axis, value in moves[0].items() if axis != "dz_m"}
+        return {"position_m": _beside_taken(sight, moves[0])}
     raise NotReadyError("The sentence names no place.")
+
+
+def _beside_taken(sight: Looking, delta: dict[str, float]) -> list[float]:
+    """A place at a distance from where the cube in the hand was taken."""
+    x, y = sight.taken_m
+    return [round(x + delta.get("dx_m", 0.0), 4), round(y + delta.get("dy_m", 0.0), 4)]
 
 
 async def put_down(sight: Looking, text: str) -> str:
     """Put down what is held, by a distance from where it was taken."""
-    (delta, *_), (x, y) = moves_of(text), sight.taken_m
-    place = [round(x + delta.get("dx_m", 0.0), 4), round(y + delta.get("dy_m", 0.0), 4)]
-    await sight.tools.must("place", position_m=place, speed=_GENTLE)
+    (delta, *_) = moves_of(text)
+    await sight.put(position_m=_beside_taken(sight, delta), speed=_GENTLE)
     return DONE
 
 
@@ -186,7 +190,7 @@ async def back(sight: Looking, text: str) -> str:
     (colour,) = named_colours(text)
     first = sight.at_first[colour]
     await sight.take(colour)
-    await sight.tools.must("place", position_m=[first.x_m, first.y_m])
+    await sight.put(position_m=list(first))
     return DONE
 
 
@@ -194,7 +198,7 @@ async def turn(sight: Looking, text: str) -> str:
     """Turn a cube where it stands."""
     await sight.take(named_colours(text)[0])
     turned_deg = math.remainder(sight.taken_deg + (number_before(text, "degrees") or 0.0), 180.0)
-    await sight.tools.must("place", position_m=list(sight.taken_m), yaw_deg=round(turned_deg, 1))
+    await sight.put(position_m=list(sight.taken_m), yaw_deg=round(turned_deg, 1))
     return DONE
 
 
@@ -217,7 +221,7 @@ async def swap(sight: Looking, text: str) -> str:
         (one, (cubes[other].x_m, cubes[other].y_m)),
     ):
         await sight.take(colour)
-        await sight.tools.must("place", position_m=list(place))
+        await sight.put(position_m=list(place))
     return DONE
 
 
@@ -226,7 +230,7 @@ async def tower(sight: Looking, text: str) -> str:
     low, middle, top = named_colours(text)
     for below, colour in ((low, middle), (middle, top)):
         await sight.take(colour)
-        await sight.tools.must("place", on=await sight.words_for(below))
+        await sight.put(on=await sight.words_for(below))
     return DONE
 
 
@@ -234,7 +238,7 @@ async def by_size(sight: Looking, text: str) -> str:
     """Put the smallest cube onto the largest one."""
     smallest, *_, largest = by_edge(await sight.cubes())
     await sight.take(smallest)
-    await sight.tools.must("place", on=await sight.words_for(largest))
+    await sight.put(on=await sight.words_for(largest))
     return DONE
 
 
@@ -245,7 +249,7 @@ async def clear_half(sight: Looking, text: str) -> str:
     for colour in [colour for colour in cubes if cubes[colour].y_m * sign > 0.0]:
         x, y = free_place(cubes, half=-sign)
         await sight.take(colour)
-        await sight.tools.must("place", position_m=[x, y])
+        await sight.put(position_m=[x, y])
         cubes[colour] = Seen(x, y, cubes[colour].edge_m)
     return DONE
 
@@ -258,5 +262,5 @@ async def line_up(sight: Looking, text: str) -> str:
     first = 0.5 - step_m * (len(cubes) - 1) / 2
     for number, colour in enumerate(sorted(cubes, key=lambda name: cubes[name].x_m)):
         await sight.take(colour)
-        await sight.tools.must("place", position_m=[round(first + number * step_m, 4), y])
+        await sight.put(position_m=[round(first + number * step_m, 4), y])
     return DONE

@@ -5,16 +5,19 @@ from __future__ import annotations
 import io
 from dataclasses import dataclass
 
+import anyio
 import numpy as np
 from PIL import Image
 
-from rn_eval.agents.client import ToolClient
+from rn_eval.agents.client import ToolAnswer, ToolClient
 from rn_eval.agents.subjects.reading import named_colours
 from rn_eval.agents.tasks.steps import seen_colours, start_everything
 from roboneuron import NotReadyError
 from roboneuron.sight import segmentation
 
 _OVER_M = 0.1
+_LIFTED_M = 0.18
+_TRIES, _AGAIN_S = 3, 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,14 +34,14 @@ class Looking:
 
     Attributes:
         tools: of the server.
-        at_first: where cubes lay when they were first needed.
+        at_first: x and y of cubes when they were first needed.
         held: colour of the cube that was taken last; "" for none.
         taken_m, taken_deg: x and y at which it was grasped, and the yaw of the hand.
     """
 
     def __init__(self, tools: ToolClient) -> None:
         self.tools = tools
-        self.at_first: dict[str, Seen] = {}
+        self.at_first: dict[str, tuple[float, float]] = {}
         self.held = ""
         self.taken_m = (0.0, 0.0)
         self.taken_deg = 0.0
@@ -53,15 +56,35 @@ class Looking:
             raise NotReadyError(f"start_all: {answer.text}")
         self._is_started = True
 
+    async def insist(self, tool: str, **arguments: object) -> ToolAnswer:
+        """Call a tool again while its parts are not ready: a camera's picture is late, or control
+        was. For calls that name where to end, so that a second one is no second shift. Raises
+        NotReadyError.
+        """
+        for _ in range(_TRIES):
+            answer = await self.tools.call(tool, **arguments)
+            if answer.code != "not_ready":
+                break
+            await anyio.sleep(_AGAIN_S)
+        if not answer.ok:
+            raise NotReadyError(f"{tool}: {answer.text}")
+        return answer
+
+    async def put(self, **where: object) -> None:
+        """Put down what is held: at a position, on or beside a cube. Raises NotReadyError."""
+        await self.insist("place", **where)
+        self.held = ""
+
     async def cubes(self) -> dict[str, Seen]:
         """All cubes on the table by colour. Raises NotReadyError."""
         found = await self._find()
-        self.at_first = {**found, **self.at_first}
+        places = {colour: (one.x_m, one.y_m) for colour, one in found.items()}
+        self.at_first = {**places, **self.at_first}
         return found
 
     async def _find(self) -> dict[str, Seen]:
         await self.start()
-        objects = (await self.tools.must("look", pictures=False)).data["objects"]
+        objects = (await self.insist("look", pictures=False)).data["objects"]
         assert isinstance(objects, list)
         found = {}
         for one in objects:
@@ -80,19 +103,31 @@ class Looking:
     async def go_over(self, colour: str, above_m: float) -> None:
         """Move the hand over a cube. Raises NotReadyError."""
         await self.start()
-        await self.tools.must(
+        await self.insist(
             "move_to", **await self.pointer(colour, "move_to"), above_m=round(above_m, 4)
         )
 
-    async def take(self, colour: str, **more: object) -> None:
+    async def take(self, colour: str) -> None:
         """Pick up a cube. Raises NotReadyError."""
         await self.start()
-        told = await self.tools.must("pick", **await self.pointer(colour, "pick"), **more)
-        place = told.data["grasped_at_m"]
-        assert isinstance(place, list)
-        self.held, self.taken_m = colour, (float(place[0]), float(place[1]))
-        self.taken_deg = told.number("yaw_deg")
-        self.at_first.setdefault(colour, Seen(*self.taken_m, 2 * float(place[2])))
+        where = await self.pointer(colour, "pick")
+        told = await self.tools.call("pick", **where)
+        was_interrupted = told.code == "not_ready"
+        if was_interrupted:
+            await anyio.sleep(_AGAIN_S)
+            told = await self.tools.call("pick", **where)
+        if was_interrupted and told.rule == "full_hand":  # after it had closed the hand
+            x, y, z = await self.tools.tcp_m()
+            await self.tools.must("move_ee", dz_m=round(max(0.0, _LIFTED_M - z), 4))
+        elif told.ok:
+            place = told.data["grasped_at_m"]
+            assert isinstance(place, list)
+            x, y, _ = place
+            self.taken_deg = told.number("yaw_deg")
+        else:
+            raise NotReadyError(f"pick: {told.text}")
+        self.held, self.taken_m = colour, (x, y)
+        self.at_first.setdefault(colour, self.taken_m)
 
 
 class Pointing(Looking):
@@ -101,8 +136,8 @@ class Pointing(Looking):
     async def _find(self) -> dict[str, Seen]:
         found = {}
         for colour, pixel in (await self._pixels()).items():
-            mark = (await self.tools.must("locate", camera="front", pixel=pixel)).data["mark"]
-            place = (await self.tools.must("locate", mark=mark)).data["position_m"]
+            mark = (await self.insist("locate", camera="front", pixel=pixel)).data["mark"]
+            place = (await self.insist("locate", mark=mark)).data["position_m"]
             assert isinstance(place, list)
             found[colour] = Seen(*place)
         return found
@@ -110,7 +145,7 @@ class Pointing(Looking):
     async def _pixels(self) -> dict[str, list[int]]:
         """Middle of the region of each colour, in the front camera's picture of a new look."""
         await self.start()
-        looked = await self.tools.must("look")
+        looked = await self.insist("look")
         pictures = looked.data["pictures"]
         assert isinstance(pictures, list)
         cameras = [str(picture["camera"]) for picture in pictures]
@@ -129,7 +164,7 @@ class Pointing(Looking):
         if colour not in pixels:
             told = ", ".join(pixels)
             raise NotReadyError(f"No {colour} pixels are seen, only {told}.")
-        return (await self.tools.must("locate", camera="front", pixel=pixels[colour])).data
+        return (await self.insist("locate", camera="front", pixel=pixels[colour])).data
 
     async def words_for(self, colour: str) -> str:
         """The mark at its pixel."""
@@ -144,10 +179,10 @@ class Pointing(Looking):
     async def go_over(self, colour: str, above_m: float) -> None:
         """Move the hand over the middle of the cube's top. Raises NotReadyError."""
         mark = (await self._located(colour))["mark"]
-        place = (await self.tools.must("locate", mark=mark)).data["position_m"]
+        place = (await self.insist("locate", mark=mark)).data["position_m"]
         assert isinstance(place, list)
         x, y, top = place
-        await self.tools.must("move_to", position_m=[x, y, round(top + above_m, 4)])
+        await self.insist("move_to", position_m=[x, y, round(top + above_m, 4)])
 
 
 class WithoutLook(Looking):
@@ -157,7 +192,7 @@ class WithoutLook(Looking):
         found = {}
         await self.start()
         for colour in await seen_colours(self.tools):
-            over = await self.tools.must(
+            over = await self.insist(
                 "move_to", object=f"{colour} cube", above_m=_OVER_M, simulate=True
             )
             place = over.data["position_m"]
