@@ -36,7 +36,7 @@ HAND_OVER = SuiteSpec(
 SUBJECTS = (
     AgentSubjectSpec(
         name="perfect",
-        summary="Knows the truth and how each task is solved: an upper bound",
+        summary="Knows how each task is solved: an upper bound",
         target="rn_eval.agents.subjects.perfect:act",
         case="rn_eval.agents.contract_cases:perfect_case",
         knows_truth=True,
