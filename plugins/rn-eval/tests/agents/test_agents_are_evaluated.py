@@ -138,7 +138,7 @@ def test_the_truth_of_a_base_beside_an_arm_is_seen(tmp_path: Path, environment: 
 @pytest.mark.exhaustive
 def test_agents_may_reach_the_server_over_http(tmp_path: Path, environment: dict[str, str]):
     folder = tmp_path / "run"
-    options = ("--subject", "perfect", "--tasks", "look-count", "--transport", "http")
+    options = ("--subject", "perfect", "--tasks", "look-table", "--transport", "http")
     evaluate(folder, environment, *options)
     (record,) = read_records_of(folder, AgentRecord)
     assert record.outcome.status == "success", record.outcome

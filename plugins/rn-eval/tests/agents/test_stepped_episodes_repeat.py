@@ -27,7 +27,7 @@ from roboneuron.plugins.discovery import discover
 
 NICENESS = "RAY_worker_niceness"
 BUSY = "while True: pass"
-TASKS_OF_EACH_KIND = "look-count,move-by,move-joint,put-sideways"
+TASKS_OF_EACH_KIND = "look-table,move-by,move-joint,put-by"
 
 
 def evaluate(folder: Path, *options: str) -> dict[str, AgentRecord]:
@@ -116,7 +116,7 @@ def test_a_busy_machine_and_two_workers_play_the_same_episodes(
         "--subject",
         "perfect",
         "--tasks",
-        "look-count,move-by,move-joint,put-sideways",
+        "look-table,move-by,move-joint,put-by",
     )
     alone = evaluate(tmp_path / "alone", *options)
     busy = [subprocess.Popen([sys.executable, "-c", BUSY]) for _ in range(2)]
