@@ -89,7 +89,7 @@ def test_plugins_import_only_what_is_public_of_the_core():
 
 MOST_NAMES = {"roboneuron.feature": 65, "roboneuron.command": 33}
 """Maximum numbers for features and commands, and for commands alone; they only decrease."""
-MOST_PUBLISHED = 78
+MOST_PUBLISHED = 64
 """Maximum number of names in the `__all__` of modules of the core; it only decreases."""
 
 

@@ -25,7 +25,7 @@ from roboneuron.cli.main import main
 from roboneuron.config import parse_config
 from roboneuron.contract import Backend
 from roboneuron.errors import ConfigurationError
-from roboneuron.modules.inference.agreement import agree_on_space
+from roboneuron.modules.inference.agreement import SpaceAgreement
 from roboneuron.modules.plugin import build
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.registry import Registry
@@ -165,7 +165,7 @@ def test_the_lines_of_a_row_are_all_that_its_policy_needs(
     config = parse_config(text, registry=registry)
     spec = registry.get(BackendSpec, row.backend)
     given = {**config.options(row.backend), "checkpoint": str(checkpoint)}
-    agreement = agree_on_space(registry, spec, given, robot, config.control)
+    agreement = SpaceAgreement.of(registry, spec, given, robot, config.control)
     label = agreement.executed.label.partition(":")[0]
     assert label.removesuffix("_base") == row.space
     if row.backend == "openpi":
@@ -191,7 +191,7 @@ def test_a_policy_of_joints_is_refused_without_their_names(registry: Registry, r
     options = tomllib.loads("\n".join(row.options))
     del options["joints"]
     with pytest.raises(ConfigurationError, match="needs the option 'joints'"):
-        agree_on_space(registry, spec, options, robot, None)
+        SpaceAgreement.of(registry, spec, options, robot, None)
 
 
 def test_arms_of_six_joints_are_refused_on_two_fr3s(

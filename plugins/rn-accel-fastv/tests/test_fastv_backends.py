@@ -26,7 +26,7 @@ from rn_runtime_torch.runtime import TorchRuntime
 from rn_testing.fakes import make_observation
 from rn_vla.openvla.tiny import make_tiny
 from roboneuron.errors import ConfigurationError, PlanningError
-from roboneuron.modules.inference.planning import find_policy
+from roboneuron.modules.inference.planning import ResolvedPolicy
 from roboneuron.plugins.registry import Offer, Registry, Status
 from roboneuron.plugins.specs import BackendSpec, CameraSpec, DriverSpec, RobotSpec, RuntimeSpec
 
@@ -210,7 +210,7 @@ def _registry(*more) -> Registry:
 @pytest.mark.parametrize("backend", ["openvla", "openvla-tcp", "oft", "oft-primary"])
 @pytest.mark.parametrize("preset", [*sorted(PRESETS), "fastv"])
 def test_planning_accepts_the_presets_for_both_families(backend, preset):
-    plan = find_policy(
+    plan = ResolvedPolicy.of(
         _registry(), robot="arm", driver="simulated", backend=backend, acceleration=preset
     )
     assert plan.runtime.name == "torch"
@@ -219,7 +219,7 @@ def test_planning_accepts_the_presets_for_both_families(backend, preset):
 def test_planning_refuses_the_presets_for_other_families():
     pi0 = BackendSpec(name="pi0", summary="s", target="x:y", family="pi0")
     with pytest.raises(PlanningError, match=r"fastv-p50.*openvla, openvla-oft.*pi0"):
-        find_policy(
+        ResolvedPolicy.of(
             _registry(pi0), robot="arm", driver="simulated", backend="pi0", acceleration="fastv-p50"
         )
 
@@ -234,7 +234,7 @@ def test_planning_refuses_a_runtime_that_cannot_prune():
         served=True,
     )
     with pytest.raises(PlanningError, match=r"visual-token-pruning.*served.*fit: torch"):
-        find_policy(
+        ResolvedPolicy.of(
             _registry(served),
             robot="arm",
             driver="simulated",
@@ -251,7 +251,7 @@ def test_planning_refuses_a_runtime_without_bidirectional_rows_for_oft():
     with pytest.raises(
         PlanningError, match=r"'served' executes the families openvla, but .*'openvla-oft'"
     ):
-        find_policy(
+        ResolvedPolicy.of(
             _registry(served), robot="arm", driver="simulated", backend="oft", runtime="served"
         )
 

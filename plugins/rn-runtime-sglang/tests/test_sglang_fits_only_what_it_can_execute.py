@@ -4,7 +4,7 @@ import pytest
 
 from rn_runtime_sglang.plugin import roboneuron_runtimes
 from roboneuron.errors import ConfigurationError, PlanningError
-from roboneuron.modules.inference.planning import find_policy
+from roboneuron.modules.inference.planning import ResolvedPolicy
 from roboneuron.plugins.discovery import discover
 
 
@@ -14,7 +14,7 @@ def registry():
 
 
 def plan(registry, backend, **parts):
-    return find_policy(registry, robot="fr3", driver="simulated", backend=backend, **parts)
+    return ResolvedPolicy.of(registry, robot="fr3", driver="simulated", backend=backend, **parts)
 
 
 def test_openvla_runs_with_it(registry):

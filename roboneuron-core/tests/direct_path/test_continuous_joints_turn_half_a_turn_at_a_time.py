@@ -12,7 +12,7 @@ import pytest
 
 from roboneuron import JointSample, RefusedError
 from roboneuron.direct_path.fields import load_type
-from roboneuron.feature import joint_space
+from roboneuron.gate.motion import joint_space
 from roboneuron.gate.motion.joint_paths import check_joints
 
 Limit = joint_space.JointLimit

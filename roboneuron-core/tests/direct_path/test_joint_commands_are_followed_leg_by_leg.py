@@ -13,7 +13,7 @@ from roboneuron.contract import JointSample
 from roboneuron.direct_path.fields import load_type
 from roboneuron.direct_path.joint_messages import joint_commands
 from roboneuron.errors import RefusedError
-from roboneuron.feature import joint_space
+from roboneuron.gate.motion import joint_space
 from roboneuron.gate.motion.driver_limits import MOST_POINTS
 from roboneuron.gate.motion.joint_paths import check_joints
 

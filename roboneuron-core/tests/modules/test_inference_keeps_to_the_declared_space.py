@@ -14,7 +14,7 @@ from rn_testing.waiting import holds_within
 from roboneuron.config import parse_config
 from roboneuron.contract import Frame
 from roboneuron.errors import PlanningError, PluginError, RoboNeuronError
-from roboneuron.modules.inference.agreement import agree_on_space
+from roboneuron.modules.inference.agreement import SpaceAgreement
 from roboneuron.plugins.specs import BackendSpec
 from roboneuron.ros.messages import to_image
 
@@ -34,7 +34,9 @@ def ask(make_host: Any) -> Any:
     def ask(kind: str, config: str = CONFIG, **facts: Any) -> Any:
         registry = module_host.discover(())
         spec = replace(registry.get(BackendSpec, "fickle"), **facts)
-        return agree_on_space(registry, spec, {"kind": kind}, "pair", parse_config(config).control)
+        return SpaceAgreement.of(
+            registry, spec, {"kind": kind}, "pair", parse_config(config).control
+        )
 
     return ask
 

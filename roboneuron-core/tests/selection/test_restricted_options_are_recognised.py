@@ -15,7 +15,7 @@ from pydantic import AnyUrl, BaseModel, ConfigDict, Field, FilePath, SecretStr, 
 from rn_testing.rules.restricted import unmarked_options
 from roboneuron import AgentMaySet, ConfigurationOnly
 from roboneuron.plugins.specs import SCHEMA_KEY
-from roboneuron.selection.restricted import looks_restricted, restricted_values
+from roboneuron.selection.restricted import OptionAccess, restricted_values
 
 
 class Colour(StrEnum):
@@ -76,7 +76,7 @@ FIELDS: list[tuple[str, Any, bool]] = [
 )
 def test_type_and_name_tell_what_looks_restricted(name: str, kind: Any, expected: bool) -> None:
     model = create_model("Model", **{name: (kind, ...)})
-    assert looks_restricted(name, model.model_fields[name]) is expected
+    assert OptionAccess.of(name, model.model_fields[name]).looks_restricted is expected
     assert bool(unmarked_options(model)) is expected
 
 

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from rn_backend_servo.options import ServoOptions
 from roboneuron import CameraView, Frame, UngroundedError
-from roboneuron.sight.cube import CubeEstimate, measure_cube
-from roboneuron.sight.segmentation import find_blob, visible_colours
+from roboneuron.sight.cube import CubeEstimate
+from roboneuron.sight.segmentation import visible_colours
 
 F64 = NDArray[np.float64]
 
@@ -52,12 +52,10 @@ def look(
         calibration, tcp = frame.calibration, T_base_tcp[role]
         if calibration is None or (calibration.arm is not None and tcp is None):
             continue
-        blob = find_blob(frame.image, colour)
-        if blob is None:
-            continue
         view = CameraView.of(calibration, np.eye(4) if tcp is None else tcp)
-        estimate = measure_cube(
-            blob,
+        estimate = CubeEstimate.of_colour(
+            frame.image,
+            colour,
             view,
             table_m=options.table_m,
             edge_m=options.edge_m,

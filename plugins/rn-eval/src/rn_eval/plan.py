@@ -19,7 +19,7 @@ from roboneuron import ConfigurationError, ControllerSpec, RobotSpec
 from roboneuron.command import Offer, Status
 from roboneuron.feature import Config, Registry, build
 from roboneuron.modules.control.planning import find_controller
-from roboneuron.modules.inference.planning import ResolvedPolicy, find_policy
+from roboneuron.modules.inference.planning import ResolvedPolicy
 
 NO_PRESET = "none"
 _SAMPLE_BYTES = 65536
@@ -183,7 +183,7 @@ class EvalPlan(BaseModel):
             ConfigurationError, PlanningError: it is not possible; one sentence.
         """
         spec, config = self.suite_spec(registry), self.load_config()
-        policy = find_policy(
+        policy = ResolvedPolicy.of(
             with_body(registry, spec),
             robot=spec.robot if spec.body is None else spec.body.name,
             driver=spec.driver,

@@ -25,8 +25,8 @@ from roboneuron import EE_DELTA, BackendSpec, Controller, RoboNeuronError
 from roboneuron.command import discover
 from roboneuron.feature import build, load_profile, motion_rules
 from roboneuron.modules.execution.adaptive import AdaptiveExecutor
-from roboneuron.modules.execution.mode import Mode, abilities_of
-from roboneuron.modules.inference.agreement import SpaceAgreement, agree_on_space
+from roboneuron.modules.execution.mode import Mode
+from roboneuron.modules.inference.agreement import SpaceAgreement
 from roboneuron.modules.inference.execution import Bounds
 
 _DEFAULT_IMAGE_AGE_S = 0.5
@@ -75,7 +75,7 @@ class Runner:
                     **config.options(parts.backend.name),
                     **({} if plan.checkpoint is None else {"checkpoint": plan.checkpoint}),
                 }
-                self._agreement = agree_on_space(
+                self._agreement = SpaceAgreement.of(
                     self._registry, parts.backend, options, parts.robot.name, config.control
                 )
         cameras = {role: profile.camera(name) for role, name in parts.cameras.items()}
@@ -159,9 +159,7 @@ class Runner:
         inference = self._setup.config.inference
         most_s = inference.max_image_age_s if inference is not None else _DEFAULT_IMAGE_AGE_S
         fixed = None if execution == "auto" else cast("Mode", execution)
-        return AdaptiveExecutor(
-            abilities_of(self._spec), fixed=fixed, bounds=Bounds(first_s=most_s)
-        )
+        return AdaptiveExecutor.of(self._spec, fixed=fixed, bounds=Bounds(first_s=most_s))
 
     def _policy_of(self, preset: str) -> EpisodePolicy:
         if self._policy is None or self._preset != preset:

@@ -31,8 +31,6 @@ from roboneuron import (
     Tool,
     pose_from_message,
 )
-from roboneuron.direct_path.exposed import ACTION_LABEL as ENDPOINT
-from roboneuron.direct_path.exposed import gate_request
 from roboneuron.feature import ExposedEndpoint, GateRequest, TimedCommand
 
 if TYPE_CHECKING:
@@ -109,8 +107,8 @@ def _play(
             "only.",
             rule="simulation_only",
         )
-    exposed = next((e for e in host.gate.exposed if e.hidden and e.label == ENDPOINT), None)
-    if exposed is None:
+    exposed = next((e for e in host.gate.exposed if e.control_input == "action"), None)
+    if exposed is None or exposed.profile is None or exposed.profile.arms:
         raise NotReadyError(
             f"The robot {config.robot.name!r} has no single arm that follows TCP displacements; "
             "only those can be played."
@@ -171,7 +169,7 @@ def _motions(
     requests = []
     for piece in pieces(due_s, host.gate.max_duration_s):
         at_s = [due_s[i] - due_s[piece.start] for i in piece]
-        request = gate_request(
+        request = GateRequest.of(
             context,
             "play_recording",
             exposed,

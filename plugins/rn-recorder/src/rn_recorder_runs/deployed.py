@@ -57,11 +57,11 @@ def build_backend(
     """
     from roboneuron.command import discover
     from roboneuron.feature import build, load_profile
-    from roboneuron.modules.inference.agreement import agree_on_space
-    from roboneuron.modules.inference.planning import find_policy
+    from roboneuron.modules.inference.agreement import SpaceAgreement
+    from roboneuron.modules.inference.planning import ResolvedPolicy
 
     registry = discover(settings.disabled_plugins, settings.robot)
-    policy = find_policy(
+    policy = ResolvedPolicy.of(
         registry,
         robot=robot,
         driver=driver,
@@ -90,7 +90,7 @@ def build_backend(
     if checkpoint is not None:
         given["checkpoint"] = str(Path(checkpoint).expanduser())
     profile = load_profile(registry, settings.robot if robot == settings.robot.name else robot)
-    agreement = agree_on_space(registry, policy.backend, given, robot, settings.control)
+    agreement = SpaceAgreement.of(registry, policy.backend, given, robot, settings.control)
     parts = {
         part: None if chosen is None else build(chosen, options_of(chosen.name))
         for part, chosen in (("runtime", policy.runtime), ("acceleration", policy.acceleration))

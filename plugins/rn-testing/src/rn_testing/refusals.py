@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, get_args
 from rn_testing.case import Case
 from rn_testing.rule import NotApplicable, Violation, require
 from roboneuron import AgentMaySet, RoboNeuronError, Spec
-from roboneuron.selection.restricted import marks
+from roboneuron.selection.restricted import OptionAccess
 
 if TYPE_CHECKING:
     from pydantic.fields import FieldInfo
@@ -70,7 +70,7 @@ def secret_options(case: Case[Spec]) -> list[str]:
     found = []
     for name, field in _fields(case).items():
         elsewhere = re.search(r"(^|_)(file|path|env|variable|header|name)($|_)", name)
-        is_public = any(isinstance(mark, AgentMaySet) for mark in marks(field))
+        is_public = isinstance(OptionAccess.of(name, field).mark, AgentMaySet)
         if _texts(field) and _SECRET.search(name) and not elsewhere and not is_public:
             found.append(name)
     return found

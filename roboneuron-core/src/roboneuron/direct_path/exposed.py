@@ -5,11 +5,11 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import get_args
 
-from roboneuron.contract import Endpoint, JointSample, RobotProfile
+from roboneuron.contract import Endpoint, RobotProfile
 from roboneuron.direct_path import truth
 from roboneuron.direct_path.fields import filled, load_type
 from roboneuron.direct_path.message_types import RosMessage
@@ -18,10 +18,9 @@ from roboneuron.errors import ConfigurationError, InvalidInputError
 from roboneuron.modules import settings
 from roboneuron.modules.settings import ModuleKind
 from roboneuron.ros import topics
-from roboneuron.server.motion_gate import ExposedEndpoint, GateRequest
-from roboneuron.server.tool import CallContext
+from roboneuron.server.motion_gate import ExposedEndpoint
 
-__all__ = ["ACTING_TOPIC", "ACTION_LABEL", "LEAD_LABEL", "LEAD_TOPIC", "gate_request"]
+__all__ = ["ACTING_TOPIC", "LEAD_TOPIC"]
 """Names that other distributions may use."""
 
 _ACTION_TYPE = "std_msgs/msg/Float64MultiArray"
@@ -312,30 +311,3 @@ def same_for_each_topic(
         moves = any(e.moves for e in names[use])
         made.append(replace(draft, endpoint=endpoint, moves=moves, nonfinite=nonfinite))
     return made
-
-
-def gate_request(
-    context: CallContext,
-    tool: str,
-    exposed: ExposedEndpoint,
-    messages: Sequence[object],
-    arguments: Mapping[str, object],
-    *,
-    joints: JointSample | None = None,
-    durations_s: Sequence[float] = (),
-    send_at_s: Sequence[float] = (),
-) -> GateRequest:
-    """Create the request to the gate for this call; of a simulated call nothing is sent."""
-    return GateRequest(
-        who=context.who,
-        role=context.role,
-        tool=tool,
-        robot=exposed.robot,
-        endpoint=exposed.endpoint.name,
-        messages=tuple(messages),
-        arguments=arguments,
-        joints=joints,
-        durations_s=tuple(durations_s),
-        send_at_s=tuple(send_at_s),
-        simulated=context.simulated,
-    )

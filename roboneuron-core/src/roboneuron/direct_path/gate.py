@@ -28,7 +28,8 @@ from roboneuron.gate.motion import joint_space
 from roboneuron.gate.motion.joint_paths import check_joints
 from roboneuron.gate.motion.path_limits import Leg, LimitError
 from roboneuron.gate.motion.path_watch import WayWatch
-from roboneuron.server.motion_gate import Clamp, ExposedEndpoint, GateRequest, Verdict
+from roboneuron.server.motion_gate import ExposedEndpoint, GateRequest
+from roboneuron.server.verdict import Clamp, Verdict
 
 _Key = tuple[str, str]
 

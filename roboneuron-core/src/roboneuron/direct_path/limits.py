@@ -25,7 +25,7 @@ from roboneuron.direct_path.plans import has_plans
 from roboneuron.direct_path.request import ROLE_BY_KIND, AllowedEndpoint
 from roboneuron.direct_path.twists import TWIST_FIELDS, check_twist
 from roboneuron.errors import ConfigurationError, RefusedError
-from roboneuron.server.motion_gate import Clamp
+from roboneuron.server.verdict import Clamp
 
 _TOPIC_RULE = (
     'A name is words of letters, digits and underscores with "/" between them, such as '

@@ -15,14 +15,8 @@ from roboneuron.direct_path.fields import load_type
 from roboneuron.direct_path.gate import Gate
 from roboneuron.direct_path.traffic import Traffic
 from roboneuron.errors import NotReadyError, RefusedError
-from roboneuron.server.motion_gate import (
-    ExposedEndpoint,
-    GateRequest,
-    MotionClaim,
-    Sent,
-    TimedCommand,
-    Verdict,
-)
+from roboneuron.server.motion_gate import ExposedEndpoint, GateRequest, MotionClaim, TimedCommand
+from roboneuron.server.verdict import Sent, Verdict
 
 if TYPE_CHECKING:
     from unique_identifier_msgs.msg import UUID

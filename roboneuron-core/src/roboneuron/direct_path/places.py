@@ -22,7 +22,7 @@ from roboneuron.direct_path.message_types import (
 from roboneuron.direct_path.transforms import Transform, rotation_of
 from roboneuron.errors import NotReadyError, RefusedError
 from roboneuron.gate.motion.path_limits import LimitError
-from roboneuron.server.motion_gate import Clamp
+from roboneuron.server.verdict import Clamp
 
 PLACE_TYPES: tuple[MessageName[PoseStamped | PointStamped], ...] = (
     MessageName("geometry_msgs/msg/PoseStamped"),

@@ -36,7 +36,7 @@ from roboneuron.gate.motion import joint_space
 from roboneuron.gate.motion.path_limits import Leg, LimitError, check_zones
 from roboneuron.gate.motion.path_watch import WayWatch
 from roboneuron.gate.motion.rules import MotionRules
-from roboneuron.server.motion_gate import Clamp
+from roboneuron.server.verdict import Clamp
 
 REQUEST: MessageName[PlanRequest] = MessageName("moveit_msgs/msg/MotionPlanRequest")
 OPTIONS: MessageName[PlanningOptions] = MessageName("moveit_msgs/msg/PlanningOptions")

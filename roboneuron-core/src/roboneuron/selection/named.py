@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from roboneuron.config.models import Config, Section
 from roboneuron.errors import InvalidInputError, RoboNeuronError
-from roboneuron.modules.inference.agreement import agree_on_space
+from roboneuron.modules.inference.agreement import SpaceAgreement
 from roboneuron.planning import KIND_ENTRIES
 from roboneuron.plugins.registry import Registry
 from roboneuron.plugins.specs import BackendSpec
@@ -14,7 +14,6 @@ from roboneuron.selection.options import (
     HostOptions,
     NamedModelOptions,
     named_hosts,
-    named_models,
 )
 from roboneuron.selection.requests import StartChosenInference
 from roboneuron.selection.sections import section_for
@@ -41,7 +40,7 @@ def with_model(
                 "A machine is named for a `model` of the configuration; name that too.", path="host"
             )
         return config, request, {}
-    models = named_models(config)
+    models = NamedModelOptions.all_of(config)
     model = models.get(name)
     if model is None:
         listed = ", ".join(models) or "none; a person adds them as [models.<name>]"
@@ -109,7 +108,7 @@ def _remote_options(
         options: dict[str, object] = {**config.options(model.backend), **model.options}
         if model.checkpoint is not None:
             options["checkpoint"] = model.checkpoint
-        space = agree_on_space(registry, spec, options, config.robot.name, None).declared
+        space = SpaceAgreement.of(registry, spec, options, config.robot.name, None).declared
     except RoboNeuronError:
         # installed, or with its files, on the other machine only: an answer in another space is
         # refused

@@ -10,7 +10,7 @@ from pydantic import Field, field_validator
 from roboneuron.config import models as core_models
 from roboneuron.config.models import Config, Section
 
-__all__ = ["NamedModelOptions", "named_models"]
+__all__ = ["NamedModelOptions"]
 """Names that other distributions may use."""
 
 
@@ -40,6 +40,11 @@ class NamedModelOptions(Section):
     summary: str = Field(
         default="", description="what it is good for; agents read it in list_models"
     )
+
+    @classmethod
+    def all_of(cls, config: Config) -> dict[str, NamedModelOptions]:
+        """The models of a configuration by name."""
+        return SelectionSections(models=config.sections.get("models", {})).models
 
 
 class HostOptions(Section):
@@ -97,11 +102,6 @@ class SelectionSections(Section):
 def named_hosts(config: Config) -> dict[str, HostOptions]:
     """The machines of a configuration by name."""
     return SelectionSections(hosts=config.sections.get("hosts", {})).hosts
-
-
-def named_models(config: Config) -> dict[str, NamedModelOptions]:
-    """The models of a configuration by name."""
-    return SelectionSections(models=config.sections.get("models", {})).models
 
 
 def selection_options(config: Config) -> SelectionOptions:

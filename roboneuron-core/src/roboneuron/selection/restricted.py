@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from datetime import date, timedelta
 from datetime import time as clock_time
 from enum import Enum
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from pydantic import BaseModel
     from pydantic.fields import FieldInfo
 
-__all__ = ["is_restricted", "looks_restricted", "marks", "restricted_values"]
+__all__ = ["OptionAccess", "restricted_values"]
 """Names that other distributions may use."""
 
 _WORDS = re.compile(
@@ -40,16 +41,40 @@ too.
 _PLAIN = (bool, int, float, str)
 
 
-def is_restricted(name: str, field: FieldInfo) -> bool:
-    """True if only the configuration may set an option: by its mark, or else by its type
-    and name.
+@dataclass(frozen=True, kw_only=True, slots=True)
+class OptionAccess:
+    """Who may set an option.
+
+    Attributes:
+        mark: that of the option; None without one. Of several, the one that restricts it.
+        looks_restricted: text in it may name a host, a file, a command or a secret, by its type and
+            name.
     """
-    found = tuple(marks(field))
-    if any(isinstance(mark, ConfigurationOnly) for mark in found):
-        return True
-    return looks_restricted(name, field) and not any(
-        isinstance(mark, AgentMaySet) for mark in found
-    )
+
+    mark: ConfigurationOnly | AgentMaySet | None
+    looks_restricted: bool
+
+    @classmethod
+    def of(cls, name: str, field: FieldInfo) -> OptionAccess:
+        """The access to a field of an options model."""
+        marks = [
+            mark
+            for mark in (*field.metadata, *_inner_marks(field.annotation))
+            if isinstance(mark, ConfigurationOnly | AgentMaySet)
+        ]
+        kinds = set(_kinds(field.annotation))
+        is_named = "text" in kinds and _WORDS.search(name.lower()) is not None
+        return cls(
+            mark=min(marks, key=lambda mark: isinstance(mark, AgentMaySet), default=None),
+            looks_restricted=bool(kinds & {"place", "opaque"}) or is_named,
+        )
+
+    @property
+    def is_restricted(self) -> bool:
+        """True if only the configuration may set it: by its mark, or else by its type and name."""
+        return (
+            self.looks_restricted if self.mark is None else isinstance(self.mark, ConfigurationOnly)
+        )
 
 
 def restricted_values(
@@ -69,7 +94,7 @@ def unnamed_addresses(
         if (
             not {name, field.alias} & options.keys()
             and not field.is_required()
-            and is_restricted(name, field)
+            and OptionAccess.of(name, field).is_restricted
         ):
             found = field.get_default(call_default_factory=True)
             if any(
@@ -89,23 +114,6 @@ def _is_address(name: str, value: object) -> bool:
         and value != ""
         and (_ADDRESS.search(name.lower()) is not None or "://" in value)
     )
-
-
-def looks_restricted(name: str, field: FieldInfo) -> bool:
-    """True if text in an option may name a host, a file, a command or a secret, by its type and
-    name.
-    """
-    kinds = set(_kinds(field.annotation))
-    if "place" in kinds or "opaque" in kinds:
-        return True
-    return "text" in kinds and _WORDS.search(name.lower()) is not None
-
-
-def marks(field: FieldInfo) -> Iterator[object]:
-    """The marks of an option."""
-    for mark in (*field.metadata, *_inner_marks(field.annotation)):
-        if isinstance(mark, ConfigurationOnly | AgentMaySet):
-            yield mark
 
 
 def _inner_marks(annotation: object) -> Iterator[object]:
@@ -170,7 +178,7 @@ def _in_table(
     known = [entry for model in models for entry in model.model_fields.items()]
     for key, value in options.items():
         fields = [(name, field) for name, field in known if key in (name, field.alias)]
-        if not fields or any(is_restricted(name, field) for name, field in fields):
+        if not fields or any(OptionAccess.of(name, field).is_restricted for name, field in fields):
             yield f"{place}{key}", value
         else:
             yield from _in_value([field.annotation for _, field in fields], value, f"{place}{key}")

@@ -13,12 +13,14 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 from roboneuron.contract import Endpoint, JointSample, RobotProfile
+from roboneuron.server.verdict import Sent, Verdict
 
 if TYPE_CHECKING:
     from unique_identifier_msgs.msg import UUID
 
     from roboneuron.gate.motion.joint_space import JointLimit
     from roboneuron.ros.link import Call
+    from roboneuron.server.tool import CallContext
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -95,40 +97,33 @@ class GateRequest:
     simulated: bool = False
     repeated: bool = False
 
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Clamp:
-    """A value that was moved to a bound: path, requested value, sent value."""
-
-    path: str
-    asked: float
-    sent: float
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Verdict:
-    """The gate's answer.
-
-    Attributes:
-        allowed: no rule refuses it.
-        simulated: nothing may be sent even if allowed.
-        reason: reason of the refusal; empty when allowed.
-        rule: the rule that refused ("allow_list", "role", "type", "finite", "bounds", "steering",
-            "joints", the name of a limit of `[limits]`, "path", "rate", "emergency_stop", "audit");
-            empty when allowed.
-        clamped: values that were changed in the messages.
-    """
-
-    allowed: bool
-    simulated: bool = False
-    reason: str = ""
-    rule: str = ""
-    clamped: tuple[Clamp, ...] = ()
-
-    @property
-    def may_send(self) -> bool:
-        """True if the messages have to be sent now."""
-        return self.allowed and not self.simulated
+    @classmethod
+    def of(
+        cls,
+        context: CallContext,
+        tool: str,
+        exposed: ExposedEndpoint,
+        messages: Sequence[object],
+        arguments: Mapping[str, object],
+        *,
+        joints: JointSample | None = None,
+        durations_s: Sequence[float] = (),
+        send_at_s: Sequence[float] = (),
+    ) -> GateRequest:
+        """Create the request for a call; of a simulated call nothing is sent."""
+        return cls(
+            who=context.who,
+            role=context.role,
+            tool=tool,
+            robot=exposed.robot,
+            endpoint=exposed.endpoint.name,
+            messages=tuple(messages),
+            arguments=arguments,
+            joints=joints,
+            durations_s=tuple(durations_s),
+            send_at_s=tuple(send_at_s),
+            simulated=context.simulated,
+        )
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -145,25 +140,6 @@ class TimedCommand:
     message: Any
     due_s: float
     stamped: bool = False
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Sent:
-    """Sent messages and their number of subscribers; nothing if `verdict` does not allow it.
-
-    Attributes:
-        verdict: the gate's answer.
-        messages: number of messages, with repetitions and the stop message.
-        subscribers: number of matched subscribers.
-        duration_s: duration of sending.
-        stopped: a stop message was sent at the end.
-    """
-
-    verdict: Verdict
-    messages: int = 0
-    subscribers: int = 0
-    duration_s: float = 0.0
-    stopped: bool = False
 
 
 class MotionClaim(Protocol):

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roboneuron.contract.camera_view import CameraView
-from roboneuron.sight.segmentation import Blob
+from roboneuron.sight.segmentation import Blob, find_blob
 
-__all__ = ["CubeEstimate", "cube_corners", "measure_cube"]
+__all__ = ["CubeEstimate", "cube_corners"]
 """Names that other distributions may use."""
 
 F64 = NDArray[np.float64]
@@ -59,6 +59,31 @@ class CubeEstimate:
     edge_m: float
     misfit_px: float
     is_clear: bool
+
+    @classmethod
+    def of_colour(
+        cls,
+        image: NDArray[np.uint8],
+        colour: str,
+        view: CameraView,
+        *,
+        table_m: float,
+        edge_m: float,
+        edge_spread_m: float,
+    ) -> CubeEstimate | None:
+        """Measure the cube of a colour in an image, uint8 (height, width, 3), RGB; None if none is
+        there.
+
+        Args:
+            image: of the camera.
+            colour: key of `segmentation.HUES_DEG`.
+            view: of the camera.
+            table_m, edge_m, edge_spread_m: as of `measure_cube`.
+        """
+        blob = find_blob(image, colour)
+        if blob is None:
+            return None
+        return measure_cube(blob, view, table_m=table_m, edge_m=edge_m, edge_spread_m=edge_spread_m)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from geometry_msgs.msg import PoseStamped
     from sensor_msgs.msg import CameraInfo, Image
 
-__all__ = ["Inputs", "image_topic", "pose_of", "pose_topic"]
+__all__ = ["Inputs"]
 """Names that other distributions may use."""
 
 log = logging.getLogger(__name__)
@@ -134,6 +134,18 @@ class Inputs:
             frame = _with_depth(frame, depth)
         self._decoded[camera] = (parts, frame)
         return frame
+
+    def image_topic(self, camera: str) -> str:
+        """Topic of the images of a camera of the robot."""
+        return image_topic(self._host.config.namespace, camera)
+
+    def pose_topic(self, arm: str = "") -> str:
+        """Topic of the measured TCP pose, of the named arm if there are several."""
+        return pose_topic(self._host.config.namespace, arm)
+
+    def pose(self, arm: str = "") -> Pose | None:
+        """The TCP pose of an arm whose topic is open; None if none is new, or it is damaged."""
+        return pose_of(self.newest(self.pose_topic(arm)))
 
     def close(self) -> None:
         """Unsubscribe; idempotent."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["HUES_DEG", "find_blob", "visible_colours"]
+__all__ = ["HUES_DEG", "visible_colours"]
 """Names that other distributions may use."""
 
 F64 = NDArray[np.float64]

@@ -10,7 +10,7 @@ import pytest
 
 from roboneuron.config import Config
 from roboneuron.errors import CheckpointError, ConfigurationError, InvalidInputError, PlanningError
-from roboneuron.modules.inference.planning import find_policy, plan_inference
+from roboneuron.modules.inference.planning import ResolvedPolicy, plan_inference
 from roboneuron.modules.perception.planning import plan_perception
 from roboneuron.plugins.registry import Offer, Registry, Status
 from roboneuron.plugins.specs import (
@@ -81,7 +81,7 @@ REGISTRY = Registry(
 
 
 def _plan(registry: Registry = REGISTRY, **names: object):
-    return find_policy(registry, **{"robot": "arm", "driver": "simulated", **names})
+    return ResolvedPolicy.of(registry, **{"robot": "arm", "driver": "simulated", **names})
 
 
 def _perception(registry: Registry = REGISTRY, **section: object):

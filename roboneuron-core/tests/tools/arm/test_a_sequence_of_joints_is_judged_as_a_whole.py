@@ -16,7 +16,7 @@ from roboneuron.gate.motion.joint_paths import check_joints
 from roboneuron.gate.motion.joint_space import JointLimit
 from roboneuron.gate.motion.path_limits import PathLimiter
 from roboneuron.gate.motion.rules import motion_rules
-from roboneuron.server.motion_gate import Verdict
+from roboneuron.server.verdict import Verdict
 from roboneuron.tools.arm.joints import JointMover
 
 NAMES = ("x", "y")

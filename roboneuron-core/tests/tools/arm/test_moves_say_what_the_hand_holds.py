@@ -22,7 +22,8 @@ from roboneuron.gate.motion.joint_space import JointLimit
 from roboneuron.modules.report import Report
 from roboneuron.server import clock
 from roboneuron.server.call_chain import SimulatedContext
-from roboneuron.server.motion_gate import GateRequest, Sent, TimedCommand, Verdict
+from roboneuron.server.motion_gate import GateRequest, TimedCommand
+from roboneuron.server.verdict import Sent, Verdict
 from roboneuron.tools.arm import grip, joints
 from roboneuron.tools.arm.ee_move import MoveEndEffector
 from roboneuron.tools.arm.end_effector import EndEffectorMover
@@ -39,8 +40,7 @@ PROFILE = RobotProfile(
     arm_joints=("j1",),
     gripper=GripperProfile(joint="finger", closed_position=0.0, open_position=0.04),
 )
-OBJECT_M = 0.02
-TABLE_M = 0.1
+OBJECT_M, TABLE_M = 0.02, 0.1
 
 
 class Arm:

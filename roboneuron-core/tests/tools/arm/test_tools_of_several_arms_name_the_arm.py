@@ -39,7 +39,8 @@ from roboneuron.gate.motion.joint_space import JointLimit
 from roboneuron.modules.report import Report
 from roboneuron.server import clock
 from roboneuron.server.clock import RobotClock
-from roboneuron.server.motion_gate import GateRequest, Sent, TimedCommand, Verdict
+from roboneuron.server.motion_gate import GateRequest, TimedCommand
+from roboneuron.server.verdict import Sent, Verdict
 from roboneuron.tools.arm import grip, joints
 from roboneuron.tools.arm.arm_rows import ArmRows, Rest
 from roboneuron.tools.arm.ee_move import MoveEndEffector

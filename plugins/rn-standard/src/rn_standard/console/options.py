@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import PurePath
 from typing import TYPE_CHECKING, get_args, get_origin
 
-from roboneuron.selection.restricted import is_restricted
+from roboneuron.selection.restricted import OptionAccess
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
@@ -54,7 +54,7 @@ def describe_options(model: type[BaseModel]) -> Iterator[Option]:
         default = (
             None if field.is_required() else _literal(field.get_default(call_default_factory=True))
         )
-        restricted = is_restricted(key, field)
+        restricted = OptionAccess.of(key, field).is_restricted
         meaning = entry.get("description", "")
         yield Option(
             key=key, type=_type(entry), default=default, meaning=meaning, restricted=restricted

@@ -42,8 +42,8 @@ from roboneuron import (
     matrix_from_quaternion,
 )
 from roboneuron.feature import CallPhase, Config, Interceptor, StillReason
-from roboneuron.selection.options import named_models
-from roboneuron.sight.inputs import Inputs, pose_of, pose_topic
+from roboneuron.selection.options import NamedModelOptions
+from roboneuron.sight.inputs import Inputs
 
 EXAMPLES: dict[str, dict[str, object]] = {
     "the red cube is lifted and held for a second": {
@@ -142,7 +142,7 @@ class TasksFeature(Feature[TasksSections]):
             self._history.tool(),
             self._journal.tool(),
             move_to_tool(MoveTo(host, mover, places, self._pose_now), places),
-            *([list_models_tool(host)] if named_models(host.config) else []),
+            *([list_models_tool(host)] if NamedModelOptions.all_of(host.config) else []),
         ]
 
     def interceptors(self, host: Host) -> Sequence[Interceptor]:
@@ -256,11 +256,11 @@ class TasksFeature(Feature[TasksSections]):
 
     def _pose_now(self, arm: str) -> tuple[F64, F64]:
         self._host.modules.require_running("control")
-        inputs, topic = Inputs(self._host), pose_topic(self._host.config.namespace, arm)
-        inputs.open(topic, "geometry_msgs/msg/PoseStamped")
+        inputs = Inputs(self._host)
+        inputs.open(inputs.pose_topic(arm), "geometry_msgs/msg/PoseStamped")
         try:
             deadline_s = time.monotonic() + _POSE_S
-            while (pose := pose_of(inputs.newest(topic))) is None:
+            while (pose := inputs.pose(arm)) is None:
                 if time.monotonic() > deadline_s:
                     raise NotReadyError(
                         f"Control runs, but no pose of the end effector came within {_POSE_S:g} s.",

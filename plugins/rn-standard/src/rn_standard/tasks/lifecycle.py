@@ -17,7 +17,7 @@ from roboneuron import (
 from roboneuron.feature import ModuleKind, Registry
 from roboneuron.modules.inference.instruction_text import InstructionText
 from roboneuron.selection.feature import why_not_started
-from roboneuron.selection.options import NamedModelOptions, named_models
+from roboneuron.selection.options import NamedModelOptions
 from roboneuron.selection.requests import StartChosenInference
 from roboneuron.tools.loop.results import ModuleSummary
 
@@ -120,7 +120,7 @@ def list_models_tool(host: Host) -> Tool[NoArguments]:
             lambda _: Models(
                 models=[
                     _info(name, model, host, name == running)
-                    for name, model in named_models(host.config).items()
+                    for name, model in NamedModelOptions.all_of(host.config).items()
                 ]
             )
         )

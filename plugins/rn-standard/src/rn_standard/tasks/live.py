@@ -18,12 +18,11 @@ from roboneuron import (
     InvalidInputError,
     NotReadyError,
     Picture,
-    Pose,
     RobotProfile,
 )
 from roboneuron.feature import ModuleKind, ModuleView, Report, Stage
 from roboneuron.selection.requests import StartChosenInference
-from roboneuron.sight.inputs import Inputs, image_topic, pose_of, pose_topic
+from roboneuron.sight.inputs import Inputs
 from roboneuron.sight.marks import marked
 
 _TOLD_S = 5.0
@@ -94,7 +93,7 @@ class LiveCell:
         space = self._host.config.namespace
         self._inputs.open(f"/{space}/joint_states", "sensor_msgs/msg/JointState")
         for arm in ("", *self._arms):
-            self._inputs.open(pose_topic(space, arm), "geometry_msgs/msg/PoseStamped")
+            self._inputs.open(self._inputs.pose_topic(arm), "geometry_msgs/msg/PoseStamped")
         for topic, type_name in self._topics.items():
             try:
                 self._inputs.open(topic, type_name)
@@ -103,8 +102,8 @@ class LiveCell:
                     f"until: {error.message}", hint=error.hint, path="until"
                 ) from error
         for camera in self._cameras:
-            self._inputs.open_camera(self._image_topic(camera))
-        wanted = [self._image_topic(camera) for camera in self._cameras]
+            self._inputs.open_camera(self._inputs.image_topic(camera))
+        wanted = [self._inputs.image_topic(camera) for camera in self._cameras]
         deadline_s = time.monotonic() + _IMAGES_S
         while time.monotonic() < deadline_s and any(
             self._inputs.last(topic) is None for topic in wanted
@@ -215,8 +214,8 @@ class LiveCell:
     def look(self) -> Snapshot:
         """See `TaskRobot`."""
         space = self._host.config.namespace
-        poses = [pose_topic(space, arm) for arm in ("", *self._arms)]
-        images = [self._image_topic(camera) for camera in self._cameras]
+        poses = [self._inputs.pose_topic(arm) for arm in ("", *self._arms)]
+        images = [self._inputs.image_topic(camera) for camera in self._cameras]
         self._time.await_measured(
             self._inputs,
             {"robot": [f"/{space}/joint_states"], "control": poses, "perception": images},
@@ -239,11 +238,11 @@ class LiveCell:
             now_s=now_s,
             joints=joints,
             effort=effort,
-            tcp=self._tcp(""),
+            tcp=self._inputs.pose(""),
             gripper_open=None if gripper is None else gripper.opening_in(joints),
             arms={
                 name: ArmSnapshot(
-                    tcp=self._tcp(name),
+                    tcp=self._inputs.pose(name),
                     gripper_open=arm.opening_in(joints),
                 )
                 for name, arm in self._arms.items()
@@ -253,9 +252,6 @@ class LiveCell:
             frames=self._frames(),
             messages={topic: self._inputs.last(topic) for topic in self._topics},
         )
-
-    def _tcp(self, arm: str) -> Pose | None:
-        return pose_of(self._inputs.newest(pose_topic(self._host.config.namespace, arm)))
 
     def end(self) -> None:
         """See `TaskRobot`: the instruction is withdrawn from every process; one that keeps it is
@@ -302,8 +298,5 @@ class LiveCell:
         found = {roles.get(camera, camera): self._frame(camera) for camera in self._cameras}
         return {role: frame for role, frame in found.items() if frame is not None}
 
-    def _image_topic(self, camera: str) -> str:
-        return image_topic(self._host.config.namespace, camera)
-
     def _frame(self, camera: str) -> Frame | None:
-        return self._inputs.frame(self._image_topic(camera), camera, self._profile)
+        return self._inputs.frame(self._inputs.image_topic(camera), camera, self._profile)

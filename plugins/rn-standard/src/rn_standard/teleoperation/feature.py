@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, cast
 
 from rn_standard.teleoperation.hooks import TeleoperatorSpec
-from rn_standard.teleoperation.lead import Lead, named
+from rn_standard.teleoperation.lead import Lead, lead_endpoint
 from rn_standard.teleoperation.rows import Acting
 from rn_standard.teleoperation.samples import Teleoperator
 from rn_standard.teleoperation.session import LeadSession, LeadSpeeds
@@ -23,7 +23,7 @@ from roboneuron import (
     StateError,
     Tool,
 )
-from roboneuron.direct_path.exposed import ACTING_TOPIC, LEAD_LABEL
+from roboneuron.direct_path.exposed import ACTING_TOPIC
 from roboneuron.feature import StillReason, build, load_profile, settings
 
 if TYPE_CHECKING:
@@ -162,7 +162,7 @@ class Teleoperation(Feature[None]):
         """Create a lead without starting it. Raises as `begin`."""
         host = self._host
         robot = host.config.robot.name
-        exposed = named(host.gate.exposed, robot, LEAD_LABEL)
+        exposed = lead_endpoint(host.gate.exposed, robot)
         profile = load_profile(host.registry, host.config.robot)
         self._listen()
         source, rate_hz = self._source(arguments, profile)

@@ -16,8 +16,7 @@ from rn_standard.teleoperation.rows import Acting, LeadRow
 from rn_standard.teleoperation.samples import LeadFeedback, Teleoperator, ToldTeleoperator
 from rn_standard.teleoperation.session import LeadSession
 from roboneuron import CallContext, InvalidInputError, NotReadyError, RoboNeuronError
-from roboneuron.direct_path.exposed import gate_request
-from roboneuron.feature import ExposedEndpoint, MotionGate, TimedCommand
+from roboneuron.feature import ExposedEndpoint, GateRequest, MotionGate, TimedCommand
 
 if TYPE_CHECKING:
     from std_msgs.msg import Float64MultiArray
@@ -78,7 +77,7 @@ class Lead:
         self._hears_back = threading.Event()
         first = session.row(time.monotonic(), {}).to_message()
         arguments = {"source": source_name, "mode": session.mode}
-        self._request = gate_request(context, "lead_arm", exposed, [first], arguments)
+        self._request = GateRequest.of(context, "lead_arm", exposed, [first], arguments)
         self._thread = threading.Thread(target=self._run, name="lead", daemon=True)
 
     @property
@@ -220,9 +219,9 @@ def _command(message: Float64MultiArray) -> TimedCommand:
     return TimedCommand(message=message, due_s=time.monotonic())
 
 
-def named(exposed: tuple[ExposedEndpoint, ...], robot: str, label: str) -> ExposedEndpoint:
+def lead_endpoint(exposed: tuple[ExposedEndpoint, ...], robot: str) -> ExposedEndpoint:
     """Return the hidden endpoint of a lead. Raises InvalidInputError for a robot without an arm."""
     for one in exposed:
-        if one.hidden and one.label == label and one.robot == robot:
+        if one.control_input == "lead" and one.robot == robot:
             return replace(one)
     raise InvalidInputError(f"The robot {robot!r} has no arm that could be led.")

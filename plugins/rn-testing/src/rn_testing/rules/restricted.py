@@ -11,7 +11,7 @@ from rn_testing.cases import Case
 from rn_testing.rule import NotApplicable, Rule, require
 from roboneuron import DriverSpec, RobotSpec, Spec
 from roboneuron.feature import loading
-from roboneuron.selection.restricted import looks_restricted, marks
+from roboneuron.selection.restricted import OptionAccess
 
 
 def unmarked_options(model: type[BaseModel]) -> list[str]:
@@ -22,7 +22,8 @@ def unmarked_options(model: type[BaseModel]) -> list[str]:
     while pending:
         table = pending.pop(0)
         for name, field in table.model_fields.items():
-            if looks_restricted(name, field) and not any(marks(field)):
+            access = OptionAccess.of(name, field)
+            if access.looks_restricted and access.mark is None:
                 found.append(f"{table.__name__}.{name}")
             inner = [part for part in _tables(field.annotation) if part not in seen]
             pending += inner

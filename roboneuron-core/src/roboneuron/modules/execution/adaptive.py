@@ -11,10 +11,17 @@ from roboneuron.contract import EE_DELTA, ActionChunk, Ahead, JointSample, Obser
 from roboneuron.contract.arrays import F64
 from roboneuron.modules.execution.latency import LatencyWindow, rows_in
 from roboneuron.modules.execution.meter import DeliveryMeter, RowDelivery
-from roboneuron.modules.execution.mode import Abilities, Mode, ModeChoice, ModeSelector
+from roboneuron.modules.execution.mode import (
+    Abilities,
+    Mode,
+    ModeChoice,
+    ModeSelector,
+    abilities_of,
+)
 from roboneuron.modules.execution.queue import SentRowQueue, fade_rows_of
 from roboneuron.modules.execution.roll_forward import roll_forward
 from roboneuron.modules.inference import execution
+from roboneuron.plugins.specs import BackendSpec
 
 __all__ = ["AdaptiveExecutor"]
 """Names that other distributions may use."""
@@ -79,6 +86,13 @@ class AdaptiveExecutor(execution.ChunkExecutor):
         self._space = EE_DELTA
         # the newest chunk is the second policy's, to which neither latency nor abilities apply
         self._is_fallback = False
+
+    @classmethod
+    def of(
+        cls, backend: BackendSpec, *, fixed: Mode | None, bounds: execution.Bounds
+    ) -> AdaptiveExecutor:
+        """The executor for what a backend's descriptor says that it is able to."""
+        return cls(abilities_of(backend), fixed=fixed, bounds=bounds)
 
     def wants_prediction(self, now_s: float) -> bool:
         """As ChunkExecutor; in modes other than `sequential` also while rows are left."""

@@ -33,8 +33,7 @@ class AdaptiveExecution(StepFilter):
 
     def executor(self, backend: BackendSpec, mode: str, bounds: Bounds) -> ChunkExecutor:
         """See `StepFilter.executor`."""
-        abilities = abilities_of(backend)
         fixed = None if mode == "auto" else cast("Mode", mode)
         if fixed is not None:
-            check_mode(fixed, abilities, backend.name)
-        return AdaptiveExecutor(abilities, fixed=fixed, bounds=bounds)
+            check_mode(fixed, abilities_of(backend), backend.name)
+        return AdaptiveExecutor.of(backend, fixed=fixed, bounds=bounds)

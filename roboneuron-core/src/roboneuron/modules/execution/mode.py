@@ -9,7 +9,7 @@ from roboneuron.errors import ConfigurationError
 from roboneuron.modules.execution.latency import LatencyWindow, rows_in
 from roboneuron.plugins.specs import BackendSpec
 
-__all__ = ["Mode", "abilities_of"]
+__all__ = ["Mode"]
 """Names that other distributions may use."""
 
 Mode = Literal["sequential", "overlap", "rtc", "predicted-state"]

@@ -28,7 +28,7 @@ from roboneuron.plugins import loading
 from roboneuron.plugins.registry import Registry
 from roboneuron.plugins.specs import BackendSpec, ControllerSpec
 
-__all__ = ["SpaceAgreement", "agree_on_space"]
+__all__ = ["SpaceAgreement"]
 """Names that other distributions may use."""
 
 _RATE_SHARE = 0.02
@@ -51,6 +51,38 @@ class SpaceAgreement:
     declared: ControlSpace
     executed: ControlSpace
     columns: tuple[int, ...]
+
+    @classmethod
+    def of(
+        cls,
+        registry: Registry,
+        backend: BackendSpec,
+        options: Mapping[str, object],
+        robot: str,
+        control: models.ControlConfig | None,
+    ) -> SpaceAgreement:
+        """Agree on a backend's space with these options and the configured controller.
+
+        Args:
+            registry: the installed plugins.
+            backend: its descriptor.
+            options: options of the backend, with its checkpoint.
+            robot: name of the robot.
+            control: section of the configuration; None to accept every space.
+
+        Raises:
+            PlanningError: they do not fit, see `agree`.
+            ConfigurationError: only the model's server knows its space.
+            ConfigurationError, PluginError: as `declared_space` and `agree_with_control`.
+        """
+        declared = declared_space(registry, backend, options, robot)
+        if declared is None:
+            raise ConfigurationError(
+                f"In which space backend {backend.name!r} acts is known only by the server of its "
+                "model.",
+                hint=f"Say it: `space` in [plugins.{backend.name}].",
+            )
+        return agree_with_control(registry, backend, declared, robot, control)
 
     def convert(self, chunk: ActionChunk, joints: JointSample | None) -> ActionChunk:
         """Convert a chunk to the executed space.
@@ -216,37 +248,6 @@ def declared_space(
             "ControlSpace."
         )
     return declared
-
-
-def agree_on_space(
-    registry: Registry,
-    backend: BackendSpec,
-    options: Mapping[str, object],
-    robot: str,
-    control: models.ControlConfig | None,
-) -> SpaceAgreement:
-    """Agree on a backend's space with these options and the configured controller.
-
-    Args:
-        registry: the installed plugins.
-        backend: its descriptor.
-        options: options of the backend, with its checkpoint.
-        robot: name of the robot.
-        control: section of the configuration; None to accept every space.
-
-    Raises:
-        PlanningError: they do not fit, see `agree`.
-        ConfigurationError: only the model's server knows its space.
-        ConfigurationError, PluginError: as `declared_space` and `agree_with_control`.
-    """
-    declared = declared_space(registry, backend, options, robot)
-    if declared is None:
-        raise ConfigurationError(
-            f"In which space backend {backend.name!r} acts is known only by the server of its "
-            "model.",
-            hint=f"Say it: `space` in [plugins.{backend.name}].",
-        )
-    return agree_with_control(registry, backend, declared, robot, control)
 
 
 def agree_with_control(

@@ -27,7 +27,7 @@ def check_action_width(backend: BackendSpec, robot: RobotSpec) -> None:
         f"Robot {robot.name!r} executes no model actions, so backend {backend.name!r} cannot "
         "drive it.",
     )
-    # a backend that declares its channels is compared by their names: `agree_on_space`
+    # a backend that declares its channels is compared by their names: `SpaceAgreement.of`
     require(
         backend.space is not None or width in robot.action_widths,
         f"Backend {backend.name!r} yields actions of width {width}, "

@@ -13,7 +13,7 @@ from types import MappingProxyType
 from roboneuron.config.models import Config
 from roboneuron.errors import CheckpointError, ConfigurationError, InvalidInputError
 from roboneuron.modules.inference.agreement import (
-    agree_on_space,
+    SpaceAgreement,
     agree_with_control,
     check_same_space,
     declared_space,
@@ -39,7 +39,7 @@ from roboneuron.plugins.specs import (
     Spec,
 )
 
-__all__ = ["ResolvedPolicy", "find_policy"]
+__all__ = ["ResolvedPolicy"]
 """Names that other distributions may use."""
 
 CHECKPOINT_START_S = 900.0
@@ -68,6 +68,57 @@ class ResolvedPolicy:
     acceleration: AccelerationSpec | None
     cameras: Mapping[str, str]
 
+    @classmethod
+    def of(
+        cls,
+        registry: Registry,
+        *,
+        robot: str,
+        driver: str,
+        backend: str,
+        runtime: str | None = None,
+        acceleration: str | None = None,
+        cameras: Mapping[str, str] = _EMPTY,
+        is_driver_elsewhere: bool = False,
+        is_elsewhere: bool = False,
+    ) -> ResolvedPolicy:
+        """Return the policy with these names.
+
+        Args:
+            registry: the installed plugins.
+            robot, driver, backend: names.
+            runtime: None for the backend's default.
+            acceleration: None for none.
+            cameras: camera name by role, instead of the robot's own roles.
+            is_driver_elsewhere: the driver runs under another interpreter: modules that it needs
+                may be absent here.
+            is_elsewhere: the same for the backend, its runtime and acceleration.
+
+        Raises:
+            ConfigurationError: a name is not installed or unusable.
+            PlanningError: the parts are incompatible; the message says which two and what would
+                fit.
+        """
+        robot_spec, driver_spec = find_robot(
+            registry, robot, driver, is_elsewhere=is_driver_elsewhere
+        )
+        spec = registry.get(BackendSpec, backend, elsewhere=is_elsewhere)
+        check_action_width(spec, robot_spec)
+        chosen = resolve_cameras(spec, robot_spec, cameras)
+        runtime_spec = resolve_runtime(registry, spec, runtime, is_elsewhere)
+        acceleration_spec = None
+        if acceleration:
+            acceleration_spec = registry.get(AccelerationSpec, acceleration, elsewhere=is_elsewhere)
+            check_acceleration(registry, acceleration_spec, spec, runtime_spec)
+        return cls(
+            robot=robot_spec,
+            driver=driver_spec,
+            backend=spec,
+            runtime=runtime_spec,
+            acceleration=acceleration_spec,
+            cameras=MappingProxyType(chosen),
+        )
+
     @property
     def takes_checkpoint(self) -> bool:
         """True if the backend needs a checkpoint, or has an option for one; raises as
@@ -77,53 +128,6 @@ class ResolvedPolicy:
             return True
         model = loading.load_options_model(self.backend)
         return model is not None and "checkpoint" in model.model_fields
-
-
-def find_policy(
-    registry: Registry,
-    *,
-    robot: str,
-    driver: str,
-    backend: str,
-    runtime: str | None = None,
-    acceleration: str | None = None,
-    cameras: Mapping[str, str] = _EMPTY,
-    is_driver_elsewhere: bool = False,
-    is_elsewhere: bool = False,
-) -> ResolvedPolicy:
-    """Return the policy with these names.
-
-    Args:
-        registry: the installed plugins.
-        robot, driver, backend: names.
-        runtime: None for the backend's default.
-        acceleration: None for none.
-        cameras: camera name by role, instead of the robot's own roles.
-        is_driver_elsewhere: the driver runs under another interpreter: modules that it needs may be
-            absent here.
-        is_elsewhere: the same for the backend, its runtime and acceleration.
-
-    Raises:
-        ConfigurationError: a name is not installed or unusable.
-        PlanningError: the parts are incompatible; the message says which two and what would fit.
-    """
-    robot_spec, driver_spec = find_robot(registry, robot, driver, is_elsewhere=is_driver_elsewhere)
-    spec = registry.get(BackendSpec, backend, elsewhere=is_elsewhere)
-    check_action_width(spec, robot_spec)
-    chosen = resolve_cameras(spec, robot_spec, cameras)
-    runtime_spec = resolve_runtime(registry, spec, runtime, is_elsewhere)
-    acceleration_spec = None
-    if acceleration:
-        acceleration_spec = registry.get(AccelerationSpec, acceleration, elsewhere=is_elsewhere)
-        check_acceleration(registry, acceleration_spec, spec, runtime_spec)
-    return ResolvedPolicy(
-        robot=robot_spec,
-        driver=driver_spec,
-        backend=spec,
-        runtime=runtime_spec,
-        acceleration=acceleration_spec,
-        cameras=MappingProxyType(chosen),
-    )
 
 
 def find_policies(
@@ -138,14 +142,15 @@ def find_policies(
             installed here; the driver runs elsewhere.
 
     Raises:
-        ConfigurationError, PlanningError: as `find_policy`, or the fallback equals the policy.
+        ConfigurationError, PlanningError: as `ResolvedPolicy.of`, or the fallback equals the
+            policy.
     """
     section, robot = config.inference, config.robot
     if section is None:
         raise ConfigurationError("The configuration has no [inference] section.")
     is_elsewhere = not in_module and section.python is not None
     find = partial(
-        find_policy,
+        ResolvedPolicy.of,
         registry,
         robot=robot.name,
         driver=robot.driver,
@@ -199,7 +204,7 @@ class InferencePlan(Plan):
         Raises:
             InvalidInputError: the instruction is invalid, or a checkpoint is missing.
             CheckpointError: the checkpoint's path does not exist, or the backend uses none.
-            PlanningError: the space of the backend does not fit, see `agree_on_space`.
+            PlanningError: the space of the backend does not fit, see `SpaceAgreement.of`.
         """
         section = self.config.inference
         assert section is not None
@@ -224,7 +229,7 @@ class InferencePlan(Plan):
         agreed = agree_with_control(registry, backend, declared, robot, control)
         if second is not None:
             own = self.config.options(second.backend.name)
-            other = agree_on_space(registry, second.backend, own, robot, control)
+            other = SpaceAgreement.of(registry, second.backend, own, robot, control)
             check_same_space(agreed, other, second.backend.name)
 
     def _with_checkpoint(self) -> InferencePlan:
@@ -288,7 +293,7 @@ class InferencePlan(Plan):
 
 
 def plan_inference(config: Config, registry: Registry) -> InferencePlan:
-    """The plan of `[inference]`; raises as `find_policy`."""
+    """The plan of `[inference]`; raises as `ResolvedPolicy.of`."""
     section = config.inference
     assert section is not None
     policy, fallback = find_policies(config, registry)

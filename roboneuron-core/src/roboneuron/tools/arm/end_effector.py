@@ -14,7 +14,6 @@ from itertools import count
 import numpy as np
 
 from roboneuron.contract import Pose, RobotProfile
-from roboneuron.direct_path.exposed import gate_request
 from roboneuron.errors import InvalidInputError, RefusedError, RoboNeuronError, StateError
 from roboneuron.server.clock import MotionTiming
 from roboneuron.server.host import Host
@@ -102,7 +101,7 @@ class EndEffectorMover:
         # stands for the actions to come, which are judged one by one; it is never sent
         any_rows = ArmRows.of(self._profile, self._arm, dict.fromkeys(self._tcps, Rest()))
         row = any_rows.row(Rest().pose, np.zeros(6), order.gripper_open or 0.0)
-        request = gate_request(
+        request = GateRequest.of(
             context,
             "move_ee",
             self._exposed,

@@ -16,7 +16,6 @@ from pydantic.json_schema import JsonSchemaValue
 from roboneuron.contract import JointSample
 from roboneuron.direct_path.delivery import TRAJECTORY
 from roboneuron.direct_path.derived import Derived
-from roboneuron.direct_path.exposed import gate_request
 from roboneuron.errors import InvalidInputError, NotReadyError, RefusedError, StateError
 from roboneuron.gate.motion import joint_space
 from roboneuron.gate.motion.path_watch import SILENCE_S
@@ -191,7 +190,7 @@ class JointMover:
         )
         in_force = {**self._limits, **self._gate.joint_limits(self._exposed)}
         duration_s = asked_s or easy_s(target, joints, in_force)
-        request = gate_request(
+        request = GateRequest.of(
             context,
             "move_joints",
             self._exposed,

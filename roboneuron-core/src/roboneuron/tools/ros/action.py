@@ -12,11 +12,10 @@ from typing import Any, Literal
 from pydantic import Field
 
 from roboneuron.direct_path.derived import Derived
-from roboneuron.direct_path.exposed import gate_request
 from roboneuron.direct_path.message_types import RosMessage
 from roboneuron.direct_path.places import check_way
 from roboneuron.errors import RefusedError, StateError
-from roboneuron.server.motion_gate import ExposedEndpoint, MotionGate
+from roboneuron.server.motion_gate import ExposedEndpoint, GateRequest, MotionGate
 from roboneuron.server.tool import CallContext
 from roboneuron.supervisor.changes import Stage
 from roboneuron.tools.ros.calls import Judged, RobotCall, Value, verdict_fields
@@ -83,7 +82,7 @@ class GoalSending:
         interface = action_of(exposed)
         timeout_s = arguments.timeout_s or self.timeout_s
         message = interface.goal.encode(arguments.goal, now_ns=time.time_ns(), argument="goal")
-        request = gate_request(
+        request = GateRequest.of(
             context,
             self._tool,
             exposed,

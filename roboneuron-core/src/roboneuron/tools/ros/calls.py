@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, TypedDict
 
 from pydantic import Field
 
-from roboneuron.server.motion_gate import Verdict
 from roboneuron.server.tool import Arguments, Result
+from roboneuron.server.verdict import Verdict
 
 if TYPE_CHECKING:
     from trajectory_msgs.msg import JointTrajectory

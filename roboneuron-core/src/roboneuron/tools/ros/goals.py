@@ -13,13 +13,8 @@ from typing import Any, Protocol
 from roboneuron.direct_path.delivery import Ending, MotionEnd
 from roboneuron.direct_path.message_types import RosMessage
 from roboneuron.errors import NotReadyError, RoboNeuronError, StateError
-from roboneuron.server.motion_gate import (
-    ExposedEndpoint,
-    GateRequest,
-    MotionClaim,
-    MotionGate,
-    Verdict,
-)
+from roboneuron.server.motion_gate import ExposedEndpoint, GateRequest, MotionClaim, MotionGate
+from roboneuron.server.verdict import Verdict
 
 _POLL_S = 0.01
 _STATUS_WORDS = {4: "succeeded", 5: "canceled", 6: "aborted"}

@@ -7,10 +7,9 @@ import threading
 
 from pydantic import Field
 
-from roboneuron.direct_path.exposed import gate_request
 from roboneuron.direct_path.transforms import STATIC, find_transform
 from roboneuron.server.host import Host
-from roboneuron.server.motion_gate import ExposedEndpoint
+from roboneuron.server.motion_gate import ExposedEndpoint, GateRequest
 from roboneuron.server.tool import CallContext, Result
 from roboneuron.tools.ros.calls import RobotCall
 from roboneuron.tools.ros.targets import Targets
@@ -53,7 +52,7 @@ class LookingUp:
     async def __call__(self, arguments: Lookup, context: CallContext) -> FoundTransform:
         """Raises InvalidInputError, RefusedError, NotReadyError, ConfigurationError."""
         exposed = self._targets.of(arguments.robot)
-        self._host.gate.check(gate_request(context, self._tool, exposed, (), arguments.given()))
+        self._host.gate.check(GateRequest.of(context, self._tool, exposed, (), arguments.given()))
         halt = threading.Event()
         return await context.run(lambda _: self._find(exposed, arguments, halt), on_cancel=halt.set)
 

@@ -9,8 +9,8 @@ from typing import Any, Generic, TypeVar
 
 from pydantic import Field
 
-from roboneuron.direct_path.exposed import gate_request
 from roboneuron.server.host import Host
+from roboneuron.server.motion_gate import GateRequest
 from roboneuron.server.tool import CallContext, Result
 from roboneuron.tools.ros.calls import RobotCall
 from roboneuron.tools.ros.reading import read_newest
@@ -46,7 +46,7 @@ class GettingNewest(Generic[A, R]):
     async def __call__(self, arguments: A, context: CallContext) -> R:
         """Raises InvalidInputError, RefusedError, NotReadyError, ConfigurationError."""
         exposed = self._targets.of(arguments.robot)
-        self._host.gate.check(gate_request(context, self._tool, exposed, (), arguments.given()))
+        self._host.gate.check(GateRequest.of(context, self._tool, exposed, (), arguments.given()))
         halt = threading.Event()
 
         def work() -> R:

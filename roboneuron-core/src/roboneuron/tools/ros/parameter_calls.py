@@ -9,9 +9,9 @@ from typing import Any
 from pydantic import Field
 
 from roboneuron.contract import Endpoint
-from roboneuron.direct_path.exposed import SET_PARAMETERS, gate_request
+from roboneuron.direct_path.exposed import SET_PARAMETERS
 from roboneuron.errors import InvalidInputError, RefusedError
-from roboneuron.server.motion_gate import ExposedEndpoint, MotionGate
+from roboneuron.server.motion_gate import ExposedEndpoint, GateRequest, MotionGate
 from roboneuron.server.tool import Arguments, CallContext, Result
 from roboneuron.supervisor.changes import Stage
 from roboneuron.tools.ros.interfaces import Plain, load_message
@@ -165,7 +165,7 @@ class ParameterCalls:
         ]
         request = Setter.Request(parameters=entries)
         gate_entry = self._entries[f"{node.name}_set_parameters"]
-        asked = gate_request(
+        asked = GateRequest.of(
             context,
             "set_parameters",
             gate_entry,
@@ -239,7 +239,7 @@ class ParameterCalls:
     ) -> Any:
         """Return the response of a read-only service."""
         entry = self._entries[f"{node.name}_{service}"]
-        request = gate_request(context, tool, entry, [message], arguments.given())
+        request = GateRequest.of(context, tool, entry, [message], arguments.given())
         halt = threading.Event()
         done = await context.run(
             lambda _: call(self._gate, entry, request, arguments.timeout_s, halt),

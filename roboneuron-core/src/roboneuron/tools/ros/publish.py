@@ -11,11 +11,11 @@ from functools import partial
 
 from pydantic import Field
 
-from roboneuron.direct_path.exposed import gate_request
 from roboneuron.errors import InvalidInputError, NotReadyError
-from roboneuron.server.motion_gate import ExposedEndpoint, MotionGate, Sent
+from roboneuron.server.motion_gate import ExposedEndpoint, GateRequest, MotionGate
 from roboneuron.server.rehearsal import Needs, Rehearsal
 from roboneuron.server.tool import CallContext, Result
+from roboneuron.server.verdict import Sent
 from roboneuron.tools.ros.calls import (
     Judged,
     PublishingCall,
@@ -92,7 +92,7 @@ class Publishing:
                     f"{self._gate.max_duration_s:g} s.",
                     path="message.points",
                 )
-        request = gate_request(
+        request = GateRequest.of(
             context,
             self._tool,
             exposed,

@@ -10,10 +10,9 @@ from collections.abc import Mapping, Sequence
 from pydantic import Field
 
 from roboneuron.direct_path.derived import Derived
-from roboneuron.direct_path.exposed import gate_request
 from roboneuron.errors import InvalidInputError
 from roboneuron.server.host import Host
-from roboneuron.server.motion_gate import ExposedEndpoint
+from roboneuron.server.motion_gate import ExposedEndpoint, GateRequest
 from roboneuron.server.tool import CallContext, Picture, Reply, Result
 from roboneuron.tools.ros.calls import RobotCall, Value
 from roboneuron.tools.ros.exposed_types import message_of
@@ -67,7 +66,7 @@ class Reading:
     async def __call__(self, arguments: Read, context: CallContext) -> Reply:
         """Raises InvalidInputError, RefusedError, NotReadyError, ConfigurationError."""
         exposed = self._targets.of(arguments.robot)
-        self._host.gate.check(gate_request(context, self._tool, exposed, (), arguments.given()))
+        self._host.gate.check(GateRequest.of(context, self._tool, exposed, (), arguments.given()))
         halt = threading.Event()
         return await context.run(
             lambda _: self._read(exposed, arguments.count, arguments.timeout_s, halt),

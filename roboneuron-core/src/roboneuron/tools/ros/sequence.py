@@ -9,9 +9,8 @@ from typing import Annotated
 
 from pydantic import Field
 
-from roboneuron.direct_path.exposed import gate_request
 from roboneuron.errors import InvalidInputError
-from roboneuron.server.motion_gate import ExposedEndpoint, MotionGate
+from roboneuron.server.motion_gate import ExposedEndpoint, GateRequest, MotionGate
 from roboneuron.server.tool import Arguments, CallContext
 from roboneuron.tools.ros.calls import PublishingCall, Value, duration_s
 from roboneuron.tools.ros.exposed_types import message_of
@@ -63,7 +62,7 @@ class Sequencing:
         played = steps * times
         starts_s = [0.0, *itertools.accumulate(step.duration_s for step in played)][:-1]
         joint_limited = exposed.endpoint.joint_limited  # needs the end of the previous step
-        request = gate_request(
+        request = GateRequest.of(
             context,
             self._tool,
             exposed,

@@ -9,8 +9,7 @@ from typing import Any
 from pydantic import Field
 
 from roboneuron.direct_path.derived import Derived
-from roboneuron.direct_path.exposed import gate_request
-from roboneuron.server.motion_gate import MotionGate
+from roboneuron.server.motion_gate import GateRequest, MotionGate
 from roboneuron.server.tool import CallContext
 from roboneuron.supervisor.changes import Stage
 from roboneuron.tools.ros.calls import Judged, RobotCall, Value, verdict_fields
@@ -64,7 +63,7 @@ class Calling:
         message = interface.request.encode(
             arguments.request, now_ns=time.time_ns(), argument="request"
         )
-        request = gate_request(
+        request = GateRequest.of(
             context, self._tool, exposed, [message], arguments.given()
         )  # fmt: skip
         halt = threading.Event()

@@ -10,7 +10,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from roboneuron.errors import NotReadyError, StateError
-from roboneuron.server.motion_gate import ExposedEndpoint, GateRequest, MotionGate, Verdict
+from roboneuron.server.motion_gate import ExposedEndpoint, GateRequest, MotionGate
+from roboneuron.server.verdict import Verdict
 
 _LOOK_S = 0.05
 """Polling period, which bounds the end of a cancelled call."""

@@ -7,13 +7,8 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from roboneuron.server.motion_gate import (
-    ExposedEndpoint,
-    GateRequest,
-    MotionGate,
-    Sent,
-    TimedCommand,
-)
+from roboneuron.server.motion_gate import ExposedEndpoint, GateRequest, MotionGate, TimedCommand
+from roboneuron.server.verdict import Sent
 from roboneuron.supervisor.changes import Stage
 
 
