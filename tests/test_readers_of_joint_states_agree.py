@@ -61,7 +61,7 @@ def contract(message: JointState) -> Mapping[str, float] | None:
 
 def ros2_control(message: JointState) -> Mapping[str, float] | None:
     try:
-        joints = measured_joints(message, 1.0)
+        joints = measured_joints(message, 1.0, {})
     except InvalidInputError:
         return None
     return {name: joint.position for name, joint in joints.items()}
@@ -145,7 +145,7 @@ def test_positions_are_read_whatever_is_told_of_velocities(reader: str, kind: st
 def test_a_velocity_that_is_not_measured_is_none(kind: str) -> None:
     """The joint_state_broadcaster writes NaN for a joint without a velocity interface."""
     velocities = READABLE[kind] or [math.nan] * COUNT
-    joints = measured_joints(state(ALL, [0.1] * COUNT, READABLE[kind]), 1.0)
+    joints = measured_joints(state(ALL, [0.1] * COUNT, READABLE[kind]), 1.0, {})
     expected = [None if math.isnan(one) else one for one in velocities]
     assert [joints[name].velocity for name in ALL] == expected
     read = joints_from_message(state(ALL, [0.1] * COUNT, READABLE[kind]))

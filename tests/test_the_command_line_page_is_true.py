@@ -48,7 +48,7 @@ def test_its_prose_names_the_packages_of_commands_that_requirements_lack(root: P
     prose = " ".join(page.split())
     told = {
         name: package
-        for names, package in re.findall(r"((?:`[a-z -]+`(?:,| and)? ?)+)\((rn-[a-z-]+)\)", prose)
+        for names, package in re.findall(r"((?:`[a-z -]+`(?:,| and)? ?)+)\((rn-[a-z0-9-]+)\)", prose)
         for name in re.findall(r"`([a-z -]+)`", names)
     }
     assert told == others

@@ -8,12 +8,15 @@ import json
 import re
 import shlex
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from roboneuron.cli.main import main
+from roboneuron.config import load_config
+from roboneuron.modules.plugin import load_profile
+from roboneuron.planning import check_configuration
+from roboneuron.plugins.discovery import discover
 
 PAGE = (Path(__file__).parents[1] / "docs" / "tutorials" / "your-own-arm.md").read_text(
     encoding="utf-8"
@@ -24,7 +27,10 @@ FILES = dict(re.findall(r"<!-- file: (\S+) -->\n```\w+\n(.*?)```", PAGE, flags=r
 [CREATE] = re.findall(r"^roboneuron (new robot .*)$", PAGE, flags=re.MULTILINE)
 [CALLS] = re.findall(r"\$ roboneuron (call .*?)```", LINES, flags=re.DOTALL)
 [REAL] = re.findall(r"```toml\n(\[robot\].*?)```", PAGE, flags=re.DOTALL)
-[STAND_IN] = re.findall(r"python (-m rn_driver_ros2control.*?)```", LINES, flags=re.DOTALL)
+[STAND_IN] = re.findall(r"^roboneuron (stand-in .*)$", PAGE, flags=re.MULTILINE)
+CONTROL_PAGE = (Path(__file__).parents[1] / "docs" / "ros2-control.md").read_text(encoding="utf-8")
+EIGHT_LINES = re.findall(r"```toml\n(\[robot\].*?)```", CONTROL_PAGE, flags=re.DOTALL)[0]
+"""The configuration of any arm behind ros2_control."""
 
 
 @pytest.fixture
@@ -63,6 +69,19 @@ def test_the_page_has_its_files_and_the_command_writes_what_it_says(project: Pat
     assert all((project / name).exists() for name in named)
 
 
+def test_eight_lines_of_toml_are_an_arm_behind_ros2_control(tmp_path: Path) -> None:
+    assert len(EIGHT_LINES.splitlines()) == 8
+    (tmp_path / "myarm.urdf").write_text(FILES["myarm.urdf"], encoding="utf-8")
+    (tmp_path / "roboneuron.toml").write_text(EIGHT_LINES, encoding="utf-8")
+    config = load_config(tmp_path / "roboneuron.toml")
+    registry = discover(config.disabled_plugins, config.robot)
+    check_configuration(config, registry)
+    profile = load_profile(registry, config.robot)
+    assert profile.arm_joints == tuple(f"joint_{number}" for number in range(1, 7))
+    assert profile.home_rad is not None
+    assert profile.collision is not None
+
+
 @pytest.mark.exhaustive
 @pytest.mark.ros
 def test_the_simulated_arm_of_the_page_moves_and_stays_away_from_its_wall(
@@ -95,10 +114,10 @@ def test_the_arm_of_the_page_moves_behind_ros2_control(
     text = config.read_text(encoding="utf-8")
     robot, rest = text[: text.index("[robot]")], text[text.index("[control]") :]
     config.write_text(robot + REAL + rest, encoding="utf-8")
-    home = re.findall(r'^    "joint_\d": (-?[\d.]+),', _profile(project), flags=re.MULTILINE)
     arm = subprocess.Popen(
-        [sys.executable, *shlex.split(STAND_IN), "--start", *home],
-        env=environment,
+        ["roboneuron", *shlex.split(STAND_IN)],
+        cwd=project,
+        env={**environment, "PYTHONPATH": str(project / "src")},
         stderr=subprocess.DEVNULL,
     )
     try:
@@ -109,10 +128,6 @@ def test_the_arm_of_the_page_moves_behind_ros2_control(
     assert done.returncode == 0, done.stdout + done.stderr
     [moved] = re.findall(r'"joint_1": ([\d.]+)', done.stdout)
     assert abs(float(moved) - 0.3) < 0.01
-
-
-def _profile(project: Path) -> str:
-    return (project / "src" / "rn_robot_myarm" / "profile.py").read_text(encoding="utf-8")
 
 
 @pytest.mark.ros

@@ -17,7 +17,14 @@ from roboneuron import NotReadyError, RobotProfile
 # where nothing could be compiled; then the tests are skipped
 with contextlib.suppress(ModuleNotFoundError):
     from rn_driver_ros2control.driver import Ros2ControlDriver
-    from rn_driver_ros2control.link import ControllerReport, End, GoalObserver, MeasuredJoint
+    from rn_driver_ros2control.forwarding import PositionForwarder
+    from rn_driver_ros2control.link import (
+        ControllerReport,
+        End,
+        GoalObserver,
+        ListedController,
+        MeasuredJoint,
+    )
     from rn_driver_ros2control.options import Ros2ControlOptions
     from rn_driver_ros2control.standin import (
         GOAL_VIOLATED,
@@ -43,7 +50,13 @@ class MemoryLink:
     def __init__(self, options: Ros2ControlOptions, profile: RobotProfile) -> None:
         self.options, self.profile = options, profile
         assert profile.home_rad is not None
-        self.controller = StandInController(profile.arm_joints, profile.home_rad)
+        joints, start = profile.arm_joints, profile.home_rad
+        self.forwarder: PositionForwarder | None = None
+        if options.controller_type == "forward-position":  # in an order of its own
+            joints, start = joints[::-1], start[::-1]
+            self.forwarder = PositionForwarder(joints)
+        self.controller = StandInController(joints, start)
+        self.listing: ListedController | None = None
         self.is_there = True
         self.answers = True
         self.tells = True
@@ -72,6 +85,9 @@ class MemoryLink:
         while not self._stop.wait(_CYCLE_S):
             ended: tuple[int, End, str] | None = None
             with self._lock:
+                values = None if self.forwarder is None else self.forwarder.due(time.monotonic())
+                if values is not None:
+                    self.controller.forward(values)
                 verdict = self.controller.update(time.time())
                 step = _FINGER_M_S * _CYCLE_S
                 self._finger += float(np.clip(self._finger_goal - self._finger, -step, step))
@@ -96,7 +112,9 @@ class MemoryLink:
             )
             for n, p, v in values
         }
-        if c.active:
+        if self.forwarder is not None:
+            self._report = self.forwarder.report(self._joints, received_s) if c.active else None
+        elif c.active:
             self._report = ControllerReport(
                 joints=c.joints,
                 reference={
@@ -114,13 +132,18 @@ class MemoryLink:
     def report(self) -> ControllerReport | None:
         return self._report
 
+    def listed(self) -> ListedController | None:
+        return self.listing
+
     def is_present(self) -> bool:
         return self.is_there
 
     def publish(self, trajectory: JointTrajectory) -> None:
         with self._lock:
             self.sent.append(trajectory)
-            if self.controller.active and not self.controller.refusal(trajectory, time.time()):
+            if self.forwarder is not None:
+                self.forwarder.start(trajectory, self._joints, time.monotonic())
+            elif self.controller.active and not self.controller.refusal(trajectory, time.time()):
                 self.controller.take(trajectory, time.time())
 
     def send_goal(self, goal: int, trajectory: JointTrajectory) -> None:

@@ -159,12 +159,36 @@ def test_targets_are_reached_replaced_and_held(bench, mode):
         wait_until(lambda: detail(driver, "goal").startswith("succeeded"), 30.0)
 
 
-def test_a_gripper_that_meets_something_says_so(bench):
-    bench.controller("--object", "0.02")
-    driver = bench.driver(gripper="gripper-command")
-    driver.send(command(0.0, **{FINGER_JOINT: 0.0}))
+def test_a_forward_controller_gets_positions_in_its_order_and_a_gripper_says_what_it_meets(bench):
+    bench.controller(
+        *("--type", "forward-position", "--joints", *ARM_JOINTS[::-1]),
+        *("--start", *(str(value) for value in HOME_RAD[::-1])),
+        *("--object", "0.02", "--gripper-type", "parallel-gripper-command"),
+    )
+    driver = bench.driver(controller_type="forward-position", gripper="parallel-gripper-command")
+    driver.send(command(0.2, **{FINGER_JOINT: 0.0}))
+    expected = [*HOME_RAD[:6], HOME_RAD[6] + 0.2]
+    wait_until(lambda: np.allclose(driver.read().joints.position[:7], expected, atol=1e-3), 30.0)
     wait_until(lambda: detail(driver, "gripper").startswith("stalled"), 30.0)
     assert driver.read().gripper_open == pytest.approx(0.5, abs=0.01)
+
+
+@pytest.mark.exhaustive
+def test_a_goal_that_is_lost_is_a_fault(bench):
+    bench.controller("--lose-goals")
+    driver = bench.driver(mode="action", goal_time_tolerance_s=0.2, goal_timeout_s=5.0)
+    driver.send(command(0.1))
+    wait_until(lambda: "lost" in detail(driver, "fault"), 60.0)
+
+
+@pytest.mark.exhaustive
+def test_goals_that_arm_and_gripper_refuse_are_told(bench):
+    bench.controller("--refuse-goals")
+    driver = bench.driver(mode="action", gripper="gripper-command")
+    with pytest.raises(InvalidInputError, match="rejected"):
+        driver.send(command(0.1))
+    driver.send(JointCommand(names=(FINGER_JOINT,), position=np.array([0.0]), duration_s=0.5))
+    wait_until(lambda: "rejected" in detail(driver, "gripper"), 30.0)
 
 
 def test_violated_tolerances_of_a_goal_are_a_fault_that_stays(bench):

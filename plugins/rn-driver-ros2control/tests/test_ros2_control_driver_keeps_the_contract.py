@@ -37,3 +37,12 @@ class TestByAction(RobotContract):
     def plugin(self) -> RobotCase:
         options = {"gripper": "gripper-command", "mode": "action", "interpolation": "cubic"}
         return RobotCase(spec=roboneuron_robots()[0], driver="ros2-control", driver_options=options)
+
+
+@pytest.mark.usefixtures("rig")
+@pytest.mark.sampled(every=4)
+class TestByForwarding(RobotContract):
+    @pytest.fixture
+    def plugin(self) -> RobotCase:
+        options = {"gripper": "gripper-command", "controller_type": "forward-position"}
+        return RobotCase(spec=roboneuron_robots()[0], driver="ros2-control", driver_options=options)

@@ -107,7 +107,8 @@ class Ros2ControlDriver:
     def _connect(self) -> ControllerLink:
         """Create the link; tests override this."""
         try:
-            from rn_driver_ros2control.ros_link import RosControllerLink  # heavy
+            from rn_driver_ros2control.ros_forward_link import RosForwardLink  # heavy
+            from rn_driver_ros2control.ros_link import RosControllerLink
         except ModuleNotFoundError as error:
             if error.name is None or not error.name.startswith("control_msgs"):
                 raise
@@ -115,7 +116,9 @@ class Ros2ControlDriver:
                 "The ROS 2 types of ros2_control are not installed (package control_msgs).",
                 hint=f"Run: {install_command('rn-driver-ros2control')}. It compiles them.",
             ) from error
-        return RosControllerLink(self._options, self._profile.arm_joints)
+        is_forward = self._options.controller_type == "forward-position"
+        link = RosForwardLink if is_forward else RosControllerLink
+        return link(self._options, self._profile.arm_joints)
 
     def read(self) -> RobotState:
         """Return the newest measured state.

@@ -8,8 +8,22 @@ from rn_driver_ros2control.link import ControllerReport, End, MeasuredJoint
 from rn_driver_ros2control.options import Ros2ControlOptions
 from roboneuron import JointKinds
 
-FAULTS = (End.PATH_TOLERANCE, End.GOAL_TOLERANCE, End.PREEMPTED, End.CANCELLED, End.ABORTED)
+FAULTS = (
+    End.PATH_TOLERANCE,
+    End.GOAL_TOLERANCE,
+    End.PREEMPTED,
+    End.CANCELLED,
+    End.ABORTED,
+    End.LOST,
+)
 """Ends of a goal that require attention."""
+
+
+_CAUSES = {
+    "preempt": "another client sends goals",
+    "deactivat": "the controller was deactivated",
+}
+"""Causes by words of the controller's message; without a message it may be any."""
 
 
 def worded(end: End, text: str) -> str:
@@ -17,11 +31,11 @@ def worded(end: End, text: str) -> str:
     said = f" ({text})" if text else ""
     if end is End.CANCELLED:
         return f"another client has cancelled the goal{said}"
+    if end is End.LOST:
+        return f"the controller has lost the goal{said}"
     if end is End.ABORTED:
-        return (
-            f"the goal was aborted{said}: another client sends goals, or the controller was "
-            "deactivated"
-        )
+        causes = [cause for word, cause in _CAUSES.items() if word in text.lower() or not text]
+        return f"the goal was aborted{said}{': ' * bool(causes)}{', or '.join(causes)}"
     return f"{end.value}{said}"
 
 

@@ -37,12 +37,20 @@ class MeasuredJoint:
     received_s: float
 
 
-def measured_joints(message: JointState, received_s: float) -> dict[str, MeasuredJoint]:
-    """The joints of a message, by name.
+_LEAST_STEP_S = 0.005
+"""Shortest time over which a velocity is computed from positions."""
+
+
+def measured_joints(
+    message: JointState, received_s: float, before: Mapping[str, MeasuredJoint]
+) -> dict[str, MeasuredJoint]:
+    """The joints of a message, by name. A velocity that is not reported is the difference quotient
+    of positions: a stop begins with it.
 
     Args:
         message: sensor_msgs/JointState.
         received_s: monotonic time of its arrival.
+        before: the same joints as reported last.
 
     Raises:
         InvalidInputError: as `joints_from_message`.
@@ -53,12 +61,28 @@ def measured_joints(message: JointState, received_s: float) -> dict[str, Measure
     return {
         name: MeasuredJoint(
             position=position,
-            velocity=None if math.isnan(speed) else speed,
+            velocity=_quotient(before.get(name), position, received_s)
+            if math.isnan(speed)
+            else speed,
             stamp_ns=joints.stamp_ns,
             received_s=received_s,
         )
         for name, position, speed in zip(joints.names, positions, speeds, strict=True)
     }
+
+
+def _quotient(before: MeasuredJoint | None, position: float, received_s: float) -> float | None:
+    """Velocity since the last report [rad/s or m/s]; the last one if that was just now; None before
+    the second.
+    """
+    if before is None:
+        return None
+    step_s = received_s - before.received_s
+    if step_s < _LEAST_STEP_S:
+        return before.velocity
+    moved = position - before.position
+    turns = round(moved / math.tau)  # a continuous joint that is reported within one turn
+    return (moved - turns * math.tau) / step_s
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -81,12 +105,30 @@ class ControllerReport:
     received_s: float
 
 
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ListedController:
+    """What the controller manager lists of the controller.
+
+    Attributes:
+        state: "active", "inactive", "unconfigured", "finalized"; "" if it is not listed.
+        claimed_by: active controllers that have claimed command interfaces that it needs.
+        others: the other controllers with their states, such as "b (active)".
+        received_s: monotonic time of the answer.
+    """
+
+    state: str
+    claimed_by: tuple[str, ...]
+    others: tuple[str, ...]
+    received_s: float
+
+
 class End(Enum):
     """Result of a goal."""
 
     SUCCEEDED = "succeeded"
     REJECTED = "rejected"
     UNANSWERED = "unanswered"
+    LOST = "lost"
     PATH_TOLERANCE = "path tolerance violated"
     GOAL_TOLERANCE = "goal tolerance violated"
     PREEMPTED = "preempted"
@@ -117,6 +159,10 @@ class ControllerLink(Protocol):
 
     def report(self) -> ControllerReport | None:
         """The newest `controller_state`; None before the first."""
+        ...
+
+    def listed(self) -> ListedController | None:
+        """The newest answer of the controller manager; None if it is not asked or silent."""
         ...
 
     def is_present(self) -> bool:

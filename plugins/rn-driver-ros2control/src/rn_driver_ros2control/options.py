@@ -18,6 +18,23 @@ class Ros2ControlOptions(BaseModel):
         default="/joint_trajectory_controller",
         description="Absolute name of the joint_trajectory_controller.",
     )
+    controller_type: Literal["joint-trajectory", "forward-position"] = Field(
+        default="joint-trajectory",
+        description="joint-trajectory: joint_trajectory_controller; forward-position: "
+        "JointGroupPositionController, or ForwardCommandController with the interface position, to "
+        "which the driver sends positions on the way.",
+    )
+    rate_hz: float = Field(
+        default=100.0,
+        ge=10.0,
+        le=1000.0,
+        description="forward-position: positions each second.",
+    )
+    controller_manager: TopicName = Field(
+        default="/controller_manager",
+        description="Name of the controller manager, which says why a controller is not active; "
+        "asked where its types (controller_manager_msgs) are installed.",
+    )
     mode: Literal["topic", "action", "chunks"] = Field(
         default="topic",
         description="topic: publish every target, for policies; action: a FollowJointTrajectory "
@@ -88,7 +105,11 @@ class Ros2ControlOptions(BaseModel):
 
     @model_validator(mode="after")
     def _check_interpolation(self) -> Self:
-        """Check that chunks are interpolated through their targets."""
+        """Check that chunks are interpolated through their targets, and that the controller has
+        what the mode needs.
+        """
+        if self.controller_type == "forward-position" and self.mode == "action":
+            raise ValueError("mode = 'action' needs a joint-trajectory controller")
         if self.mode == "chunks" and self.interpolation == "cubic":
             raise ValueError(
                 "mode = 'chunks' needs interpolation = 'linear'; cubic comes to rest at each target"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import threading
 import time
 from collections.abc import Callable, Mapping
@@ -23,10 +24,13 @@ from rn_driver_ros2control.link import (
     ControllerReport,
     End,
     GoalObserver,
+    ListedController,
     MeasuredJoint,
     measured_joints,
 )
+from rn_driver_ros2control.manager import ManagerWatch
 from rn_driver_ros2control.options import Ros2ControlOptions
+from rn_driver_ros2control.sampling import seconds
 from rn_driver_ros2control.trajectory import to_duration
 from roboneuron import InvalidInputError, NotReadyError, StateError
 
@@ -44,10 +48,16 @@ _STATES = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
 class _TrajectoryGoal:
-    """One FollowJointTrajectory goal in progress."""
+    """One FollowJointTrajectory goal in progress.
 
-    def __init__(self, deadline_s: float) -> None:
+    Attributes:
+        deadline_s: monotonic time until which it has to be answered.
+        result_s: until which it has to end; infinite if the controller may wait for ever.
+    """
+
+    def __init__(self, deadline_s: float, result_s: float) -> None:
         self.deadline_s = deadline_s
+        self.result_s = result_s
         self.answered = threading.Event()
         self.accepted = False
         self.handle: ClientGoalHandle | None = None
@@ -69,7 +79,9 @@ class RosControllerLink:
         self._goals: dict[int, _TrajectoryGoal] = {}
         self._gripper_note = "no command yet"
         self._gripper_goals = 0
+        self._gripper_due_s = math.inf  # when the newest goal has to be answered
         self._observer: GoalObserver | None = None
+        self._manager = ManagerWatch(options)
         self._clients: list[ActionClient] = []
         self._gripper: ActionClient = None  # until open, or without one
         self._context: rclpy.Context | None = None
@@ -91,17 +103,8 @@ class RosControllerLink:
         }
         for topic in sorted(topics):
             node.create_subscription(JointState, topic, self._on_joints, _STATES)
-        if self._options.watch_controller:
-            topic = f"{self._options.controller}/controller_state"
-            node.create_subscription(
-                JointTrajectoryControllerState, topic, self._on_report, _STATES
-            )
-        self._publisher = node.create_publisher(
-            JointTrajectory, f"{self._options.controller}/joint_trajectory", 1
-        )
-        action = f"{self._options.controller}/follow_joint_trajectory"
-        self._actions = ActionClient(node, FollowJointTrajectory, action)
-        self._clients.append(self._actions)
+        self._join_controller(node)
+        self._manager.join(node)
         if self._options.gripper != "none":
             kind = (
                 GripperCommand
@@ -127,6 +130,20 @@ class RosControllerLink:
                 self._gripper.server_is_ready,
                 f"there is no gripper action {self._options.gripper_action}",
             )
+
+    def _join_controller(self, node: Node) -> None:
+        """Create what the type of controller needs."""
+        if self._options.watch_controller:
+            topic = f"{self._options.controller}/controller_state"
+            node.create_subscription(
+                JointTrajectoryControllerState, topic, self._on_report, _STATES
+            )
+        self._publisher = node.create_publisher(
+            JointTrajectory, f"{self._options.controller}/joint_trajectory", 1
+        )
+        action = f"{self._options.controller}/follow_joint_trajectory"
+        self._actions = ActionClient(node, FollowJointTrajectory, action)
+        self._clients.append(self._actions)
 
     def _spin(self) -> None:
         """Execute callbacks until `close`; one that raises does not end the others."""
@@ -161,6 +178,10 @@ class RosControllerLink:
         """See `ControllerLink.report`."""
         return self._report
 
+    def listed(self) -> ListedController | None:
+        """See `ControllerLink.listed`."""
+        return self._manager.listed
+
     def is_present(self) -> bool:
         """See `ControllerLink.is_present`."""
         if self._options.mode == "action":
@@ -182,7 +203,11 @@ class RosControllerLink:
         if self._options.goal_tolerance:
             message.goal_tolerance = self._tolerances(trajectory, self._options.goal_tolerance)
         message.goal_time_tolerance = to_duration(self._options.goal_time_tolerance_s)
-        state = _TrajectoryGoal(time.monotonic() + self._options.goal_timeout_s)
+        now_s, late_s = time.monotonic(), self._options.goal_time_tolerance_s
+        lasts_s = seconds(trajectory.points[-1]) + late_s + 2 * self._options.goal_timeout_s
+        state = _TrajectoryGoal(
+            now_s + self._options.goal_timeout_s, now_s + lasts_s if late_s else math.inf
+        )
         with self._lock:
             if self._context is None or not self._context.ok():
                 raise StateError("The connection to ros2_control is closed.")
@@ -232,6 +257,7 @@ class RosControllerLink:
             self._gripper_goals += 1
             number = self._gripper_goals
             self._gripper_note = "moving"
+            self._gripper_due_s = time.monotonic() + self._options.goal_timeout_s
 
         def send() -> None:
             if number == self._gripper_goals:
@@ -277,7 +303,7 @@ class RosControllerLink:
 
     def _on_joints(self, message: JointState) -> None:
         try:
-            joints = measured_joints(message, time.monotonic())
+            joints = measured_joints(message, time.monotonic(), self._measured)
         except InvalidInputError as error:
             if str(error) != self._refused:
                 self._refused = str(error)
@@ -345,11 +371,20 @@ class RosControllerLink:
                 End.UNANSWERED,
                 f"no answer to a goal within {self._options.goal_timeout_s:g} s",
             )
+        lost = [n for n, state in list(self._goals.items()) if now_s > state.result_s]
+        for goal in lost:
+            self._end(goal, End.LOST, "no result after its end and the goal time tolerance")
+        if now_s > self._gripper_due_s:
+            self._gripper_due_s = math.inf
+            self._gripper_note = "the gripper does not answer"
 
     def _on_gripper_answer(self, number: int, handle: ClientGoalHandle) -> None:
+        if number == self._gripper_goals:
+            self._gripper_due_s = math.inf
         if not handle.accepted:
             self._note_gripper(number, "rejected by the gripper")
             return
+        self._note_gripper(number, "moving")
         handle.get_result_async().add_done_callback(
             lambda done: self._on_gripper_result(number, done.result())
         )

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from rn_driver_ros2control.sampling import TrajectorySampler, seconds
 from rn_driver_ros2control.trajectory import to_duration
 
 F64 = NDArray[np.float64]
@@ -97,7 +98,7 @@ class StandInController:
         )
         self._policy_frequency_hz = policy_frequency_hz
         self._tolerances = self.defaults
-        self._points: list[tuple[float, F64, F64 | None]] = []
+        self._sampler = TrajectorySampler(self.joints)
         self._is_done = True
         self._now_s = 0.0
 
@@ -114,7 +115,7 @@ class StandInController:
         )
         if not self._policy_frequency_hz or not is_positions or set(names) != set(self.joints):
             return trajectory
-        times_s = np.array([_seconds(point) for point in points])
+        times_s = np.array([seconds(point) for point in points])
         if not times_s.any():
             times_s = np.arange(1, len(points) + 1) / self._policy_frequency_hz
         steps_s = np.diff(times_s, prepend=0.0)
@@ -148,13 +149,13 @@ class StandInController:
         if not self._allow_nonzero_end and any(abs(v) > 1.2e-7 for v in points[-1].velocities):
             return "Velocity of last trajectory point is not zero."
         stamp_s = trajectory.header.stamp.sec + trajectory.header.stamp.nanosec * 1e-9
-        if stamp_s and stamp_s + _seconds(points[-1]) < now_s:
+        if stamp_s and stamp_s + seconds(points[-1]) < now_s:
             return "Received trajectory with non-zero start time that ends in the past."
         previous_s = -math.inf
         for point in points:
-            if _seconds(point) <= previous_s:
+            if seconds(point) <= previous_s:
                 return "Time between points is not strictly increasing."
-            previous_s = _seconds(point)
+            previous_s = seconds(point)
             if len(point.positions) != len(names) or len(point.velocities) not in (0, len(names)):
                 return "Mismatch between joint_names and positions or velocities."
             if len(point.effort):
@@ -168,33 +169,25 @@ class StandInController:
         self, trajectory: JointTrajectory, now_s: float, tolerances: Tolerances | None = None
     ) -> None:
         """Execute a trajectory that `refusal` accepts; it replaces the previous one at once."""
-        stamp_s = trajectory.header.stamp.sec + trajectory.header.stamp.nanosec * 1e-9
-        begin_s = stamp_s or now_s
-        order = [
-            list(trajectory.joint_names).index(n) if n in trajectory.joint_names else -1
-            for n in self.joints
-        ]
         base = self.reference if self._from_desired else self.measured
         velocity = self.reference_velocity if self._from_desired else self.measured_velocity
-        self._points = [(now_s, base.copy(), velocity.copy())]
-        for point in trajectory.points:
-            due_s = begin_s + _seconds(point)
-            if due_s <= now_s and point is not trajectory.points[-1]:
-                continue  # the past part is dropped
-            position = np.array(
-                [point.positions[i] if i >= 0 else b for i, b in zip(order, base, strict=True)]
-            )
-            moving = None
-            if len(point.velocities):
-                moving = np.array([point.velocities[i] if i >= 0 else 0.0 for i in order])
-            self._points.append((max(due_s, now_s), position, moving))
+        self._sampler.start(trajectory, now_s, base, velocity)
         self._tolerances = tolerances or self.defaults
         self._is_done = False
+
+    def forward(self, values: Sequence[float]) -> None:
+        """Take positions at once, as JointGroupPositionController does: in the order of its joints;
+        another number of them is ignored, and so is all while it is inactive.
+        """
+        if self.active and len(values) == len(self.joints):
+            self._sampler.clear()
+            self.reference = np.array(values, dtype=np.float64)
 
     def hold(self) -> None:
         """Hold the measured position, at once."""
         self.reference, self.reference_velocity = self.measured.copy(), np.zeros_like(self.measured)
-        self._points, self._is_done = [], True
+        self._sampler.clear()
+        self._is_done = True
 
     def update(self, now_s: float) -> TrajectoryEnd | None:
         """Run one cycle at ROS time `now_s`; return the end of the trajectory, once."""
@@ -202,8 +195,8 @@ class StandInController:
         if not self.active:
             self.measured_velocity = np.zeros_like(self.measured)
             return None
-        if self._points:
-            self.reference, self.reference_velocity = self._sample(now_s)
+        if (sampled := self._sampler.sample(now_s)) is not None:
+            self.reference, self.reference_velocity = sampled
         if not self.blocked:
             if step_s > 0.0:
                 self.measured_velocity = (self.reference - self.measured) / step_s
@@ -212,26 +205,9 @@ class StandInController:
             self.measured_velocity = np.zeros_like(self.measured)
         return None if self._is_done else self._judge(now_s)
 
-    def _sample(self, now_s: float) -> tuple[F64, F64]:
-        """Sample linearly between positions, or by a cubic if the end of a segment has
-        velocities.
-        """
-        for (from_s, p0, v0), (to_s, p1, v1) in zip(self._points, self._points[1:], strict=False):
-            if now_s >= to_s or to_s <= from_s:
-                continue
-            span_s = to_s - from_s
-            t = (now_s - from_s) / span_s
-            if v1 is None or v0 is None:
-                return p0 + (p1 - p0) * t, (p1 - p0) / span_s
-            square = 3 * (p1 - p0) - (2 * v0 + v1) * span_s
-            cube = 2 * (p0 - p1) + (v0 + v1) * span_s
-            position = p0 + v0 * span_s * t + square * t**2 + cube * t**3
-            return position, v0 + (2 * square * t + 3 * cube * t**2) / span_s
-        return self._points[-1][1].copy(), np.zeros_like(self.measured)
-
     def _judge(self, now_s: float) -> TrajectoryEnd | None:
         error = dict(zip(self.joints, np.abs(self.reference - self.measured).tolist(), strict=True))
-        end_s, active = self._points[-1][0], self._tolerances
+        end_s, active = self._sampler.end_s or now_s, self._tolerances
         if now_s < end_s:
             if any(0.0 < bound < error[name] for name, bound in active.path.items()):
                 self.hold()
@@ -248,10 +224,6 @@ class StandInController:
                 code=GOAL_VIOLATED, text="Aborted due to goal_time_tolerance exceeding"
             )
         return None
-
-
-def _seconds(point: JointTrajectoryPoint) -> float:
-    return float(point.time_from_start.sec) + float(point.time_from_start.nanosec) * 1e-9
 
 
 def _spline_velocities(positions: F64, steps_s: F64, velocity: F64) -> F64:

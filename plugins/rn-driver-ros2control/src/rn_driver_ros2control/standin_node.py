@@ -11,10 +11,11 @@ from __future__ import annotations
 import argparse
 import signal
 from collections.abc import Sequence
+from typing import TypeAlias
 
 import numpy as np
 import rclpy
-from control_msgs.action import FollowJointTrajectory, GripperCommand
+from control_msgs.action import FollowJointTrajectory, GripperCommand, ParallelGripperCommand
 from control_msgs.msg import JointTrajectoryControllerState
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
@@ -24,6 +25,7 @@ from rclpy.publisher import Publisher
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory
 
@@ -35,8 +37,21 @@ from rn_driver_ros2control.standin import (
     TrajectoryEnd,
 )
 
+GripperGoal: TypeAlias = GripperCommand.Goal | ParallelGripperCommand.Goal
+GripperResult: TypeAlias = GripperCommand.Result | ParallelGripperCommand.Result
+_GRIPPERS = {
+    "gripper-command": GripperCommand,
+    "parallel-gripper-command": ParallelGripperCommand,
+}
+"""Types of the gripper's action, by the driver's option `gripper`."""
 _FINGER_M_S = 0.05
 _CANCELLED = TrajectoryEnd(code=SUCCESSFUL, text="")
+
+
+def _positions(goal: GripperGoal) -> list[float]:
+    if isinstance(goal, GripperCommand.Goal):
+        return [float(goal.command.position)]
+    return [float(value) for value in goal.command.position]
 
 
 class StandInNode(Node):  # type: ignore[misc]
@@ -45,7 +60,7 @@ class StandInNode(Node):  # type: ignore[misc]
     def __init__(self, options: argparse.Namespace) -> None:
         """Create everything; the timer starts with the executor."""
         namespace, _, name = options.controller.rpartition("/")
-        super().__init__(name, namespace=namespace or "/", start_parameter_services=False)
+        super().__init__(name, namespace=namespace or "/")
         joints = tuple(options.joints)
         start = np.array(options.start or [0.0] * len(joints))
         bounds = Tolerances(
@@ -75,12 +90,32 @@ class StandInNode(Node):  # type: ignore[misc]
         self._finger_states: Publisher = None  # None: fingers are among the arm's joints
         if finger_states != options.joint_states:
             self._finger_states = self.create_publisher(JointState, finger_states, 10)
+        self._reports: Publisher = None  # a forward controller reports nothing
+        self.create_service(SetBool, "~/activate", self._on_activate)
+        self.create_service(SetBool, "~/block", self._on_block)
+        self._refuses, self._loses = options.refuse_goals, options.lose_goals
+        if options.type == "forward-position":
+            self.declare_parameter("joints", list(joints))
+            self.declare_parameter("interface_name", "position")
+            self.create_subscription(Float64MultiArray, "~/commands", self._on_positions, 10)
+        else:
+            self._offer_trajectories()
+        if self._finger:
+            self._gripper = ActionServer(
+                self,
+                _GRIPPERS[options.gripper_type],
+                options.gripper_action,
+                self._execute_gripper,
+                goal_callback=self._on_gripper_goal,
+            )
+        self._period_s = 1.0 / options.rate
+        self.create_timer(self._period_s, self._cycle)
+
+    def _offer_trajectories(self) -> None:
         self._reports = self.create_publisher(
             JointTrajectoryControllerState, "~/controller_state", 10
         )
         self.create_subscription(JointTrajectory, "~/joint_trajectory", self._on_trajectory, 10)
-        self.create_service(SetBool, "~/activate", self._on_activate)
-        self.create_service(SetBool, "~/block", self._on_block)
         self._server = ActionServer(
             self,
             FollowJointTrajectory,
@@ -90,12 +125,15 @@ class StandInNode(Node):  # type: ignore[misc]
             handle_accepted_callback=self._on_accepted,
             cancel_callback=self._on_cancel,
         )
-        if self._finger:
-            self._gripper = ActionServer(
-                self, GripperCommand, options.gripper_action, self._execute_gripper
-            )
-        self._period_s = 1.0 / options.rate
-        self.create_timer(self._period_s, self._cycle)
+
+    def _on_positions(self, message: Float64MultiArray) -> None:
+        self.controller.forward(message.data)
+
+    def _on_gripper_goal(self, goal: GripperGoal) -> GoalResponse:
+        is_wrong = len(_positions(goal)) != 1
+        if is_wrong:
+            self.get_logger().error("Expected one position.")
+        return GoalResponse.REJECT if is_wrong or self._refuses else GoalResponse.ACCEPT
 
     def _now_s(self) -> float:
         return float(self.get_clock().now().nanoseconds) / 1e9
@@ -111,6 +149,8 @@ class StandInNode(Node):  # type: ignore[misc]
         reason = self.controller.refusal(goal.trajectory, self._now_s())
         if not self.controller.active:
             reason = "Can't accept new action goals. Controller is not running."
+        if self._refuses:
+            reason = "Goals are refused, as --refuse-goals says."
         if reason:
             self.get_logger().error(reason)
         return GoalResponse.REJECT if reason else GoalResponse.ACCEPT
@@ -151,7 +191,7 @@ class StandInNode(Node):  # type: ignore[misc]
     def _finish(self, verdict: TrajectoryEnd) -> None:
         """Send the result to the client of the active goal, if there is one."""
         done, self._goal, self._done = self._done, None, None
-        if done is not None and not done.done():
+        if done is not None and not self._loses and not done.done():
             done.set_result(verdict)
 
     def _on_activate(
@@ -173,17 +213,20 @@ class StandInNode(Node):  # type: ignore[misc]
         response.success = True
         return response
 
-    async def _execute_gripper(self, handle: ServerGoalHandle) -> GripperCommand.Result:
+    async def _execute_gripper(self, handle: ServerGoalHandle) -> GripperResult:
         if self._finger_done is not None and not self._finger_done.done():
             self._finger_done.set_result(False)  # preempted
-        self._finger_goal_m = float(handle.request.command.position)
+        self._finger_goal_m = _positions(handle.request)[0]
         self._finger_done = Future(executor=self.executor)
         reached = await self._finger_done
         handle.succeed() if reached is not False else handle.abort()
         stalled = abs(self._finger_m - self._finger_goal_m) > 1e-4
-        return GripperCommand.Result(
-            position=float(self._finger_m), stalled=stalled, reached_goal=not stalled
-        )
+        if isinstance(handle.request, GripperCommand.Goal):
+            return GripperCommand.Result(
+                position=float(self._finger_m), stalled=stalled, reached_goal=not stalled
+            )
+        state = JointState(name=[self._finger], position=[float(self._finger_m)])
+        return ParallelGripperCommand.Result(state=state, stalled=stalled, reached_goal=not stalled)
 
     def _move_finger(self) -> None:
         least_m = (
@@ -241,7 +284,7 @@ class StandInNode(Node):  # type: ignore[misc]
         if self._finger:
             self._add_finger(state)
         self._states.publish(state)
-        if not controller.active:
+        if not controller.active or self._reports is None:
             return
         report = JointTrajectoryControllerState(joint_names=names, speed_scaling_factor=1.0)
         report.header.stamp = stamp
@@ -264,9 +307,20 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     parser.add_argument(
         "--start", nargs="+", type=float, help="their positions at the start; 0 each when left out"
     )
+    parser.add_argument(
+        "--type",
+        choices=["joint-trajectory", "forward-position"],
+        default="joint-trajectory",
+        help="of the controller, as the driver's option controller_type",
+    )
     parser.add_argument("--joint-states", default="/joint_states")
     parser.add_argument(
         "--gripper-joint", default="", help="name of a gripper joint; none when left out"
+    )
+    parser.add_argument("--gripper-type", choices=list(_GRIPPERS), default="gripper-command")
+    parser.add_argument("--refuse-goals", action="store_true", help="reject every goal")
+    parser.add_argument(
+        "--lose-goals", action="store_true", help="accept goals and never send a result"
     )
     parser.add_argument("--gripper-action", default="/gripper_controller/gripper_cmd")
     parser.add_argument(

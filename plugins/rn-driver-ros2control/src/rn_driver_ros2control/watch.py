@@ -59,7 +59,7 @@ class ControllerWatch:
                     raise NotReadyError(
                         f"{self._options.joint_states} does not tell {', '.join(missing)}."
                     )
-                raise NotReadyError(self._inactive())
+                raise NotReadyError(self._inactive(link))
             time.sleep(0.02)
         if report is not None and set(report.joints) != set(self._profile.arm_joints):
             raise ConfigurationError(
@@ -125,13 +125,14 @@ class ControllerWatch:
                 hint="Load and activate it: `ros2 control`.",
             )
         if state == "inactive":
-            raise NotReadyError(self._inactive())
+            raise NotReadyError(self._inactive(link))
 
     def controller_state(self, link: ControllerLink) -> str:
         """One of "active", "inactive", "absent", "not watched"."""
         if not link.is_present():
             return "absent"
-        if not self._options.watch_controller:
+        is_forward = self._options.controller_type == "forward-position"
+        if not self._options.watch_controller or (is_forward and link.listed() is None):
             return "not watched"
         report = link.report()
         is_fresh = (
@@ -211,12 +212,25 @@ class ControllerWatch:
         self._stamp_ns = max(self._stamp_ns, stamp_ns)
         return self._stamp_ns
 
-    def _inactive(self) -> str:
+    def _inactive(self, link: ControllerLink) -> str:
         name = self._options.controller
+        short = name.rpartition("/")[2]
+        listed = link.listed()
+        if listed is not None and not listed.state:
+            return (
+                f"{self._options.controller_manager} lists no controller {short!r}; it has "
+                f"{', '.join(listed.others) or 'none'}."
+            )
+        if listed is not None and listed.state != "active":
+            off = f"--deactivate {' '.join(listed.claimed_by)} " if listed.claimed_by else ""
+            why = f", and its joints are claimed by {', '.join(listed.claimed_by)}" if off else ""
+            return (
+                f"{name} is {listed.state}, not active{why}: `ros2 control switch_controllers "
+                f"{off}--activate {short}`."
+            )
         return (
             f"{name} is there but not active, or its process has just died: "
             f"{name}/controller_state is silent. "
             "Look at `ros2 control list_controllers`; activate it: `ros2 control "
-            "switch_controllers --activate "
-            f"{name.rpartition('/')[2]}`."
+            f"switch_controllers --activate {short}`."
         )
