@@ -12,7 +12,7 @@ __getattr__, __dir__, __all__ = attach(__name__, __file__)
 GROUPS: Mapping[str, frozenset[str]] = {
     name: frozenset(names.split())
     for name, names in {
-        "availability": "known_names missing present",
+        "availability": "known_names present",
         "descriptor": "NAME_PATTERN check_spec",
         "environment": "CLIENT_TOKEN module_environment prepare_environment state_directory",
         "messages": "intrinsics_from_camera_info to_image",

@@ -15,6 +15,7 @@ from rn_standard.tasks.moving import Mover, MoveToArguments
 from rn_standard.tasks.named_targets import Places
 from rn_standard.tasks.options import GestureOptions, PlaceOptions, PostureOptions, TasksSections
 from roboneuron import RefusedError
+from roboneuron.tools.arm import bounds
 from roboneuron.tools.arm.end_effector import EndEffectorMover
 
 OPTIONS = TasksSections(
@@ -123,7 +124,7 @@ def test_a_straight_motion_that_would_not_end_moves_nothing(
         routes.append(route)
         raise RefusedError("It is out of reach.", rule="out_of_reach")
 
-    monkeypatch.setattr(moving, "check_route", check_route)
+    monkeypatch.setattr(bounds, "check_route", check_route)
     monkeypatch.setattr(moving, "profile_of", lambda host: None)
     handler = object.__new__(EndEffectorMover)
     host: Any = SimpleNamespace(

@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Protocol, runtime_checkable
 
+import numpy as np
+
+from roboneuron.contract import F64
 from roboneuron.contract.locator import LocatedObject
 from roboneuron.errors import InvalidInputError, NotReadyError
 from roboneuron.server.host import Host
-from roboneuron.sight.marks import CellLook, find_object, nearest_like, told_name
+from roboneuron.sight.marks import CellLook, find_object, name_of, nearest_like, told_name
 
-__all__ = ["looker_of", "seen_target"]
+__all__ = ["seen_top"]
 """Names that other distributions may use."""
 
 SIGHT = "sight"
@@ -96,3 +99,11 @@ def seen_target(
             hint="Call look, and use its marks.",
         )
     return look, found
+
+
+def seen_top(host: Host, who: str, name: str, mark: int | None) -> tuple[F64, str]:
+    """The middle of the top of the object that a call means, (3,) in the base frame [m], and what
+    it is called. Raises as `looker_of` and `seen_target`.
+    """
+    _, one = seen_target(looker_of(host), who, name, mark)
+    return one.position_m + np.array([0.0, 0.0, float(one.size_m[2]) / 2]), name_of(one)

@@ -17,7 +17,7 @@ from roboneuron.server.tool import Picture
 from roboneuron.sight.cell_view import CellView
 from roboneuron.sight.sightlines import HandSight, is_seen_well
 
-__all__ = ["marked", "name_of"]
+__all__ = ["marked"]
 """Names that other distributions may use."""
 
 MOST_PX = 640

@@ -73,7 +73,9 @@ def _options(offer: Offer) -> Iterator[str]:
     specs: list[Spec | DriverSpec] = [offer.spec]
     if isinstance(offer.spec, RobotSpec):
         specs += [
-            driver for driver in offer.spec.drivers if not availability.missing(driver.requires)
+            driver
+            for driver in offer.spec.drivers
+            if all(map(availability.present, driver.requires))
         ]
     for spec in specs:
         model = loading.load_options_model(spec)

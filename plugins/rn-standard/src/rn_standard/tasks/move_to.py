@@ -2,22 +2,15 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from rn_standard.tasks.moving import MovedTo, Mover, MoveToArguments, PoseNow
 from rn_standard.tasks.named_targets import Places
-from rn_standard.tasks.run_task import profile_of
 from roboneuron import (
     CallContext,
     Host,
     RoboNeuronError,
     Tool,
 )
-from roboneuron.tools.arm.absolute import yaw_of
-from roboneuron.tools.arm.grip import Grip
-from roboneuron.tools.arm.motion_meter import MotionMeter, joint_margin
-
-_JOINTS_S = 0.5
+from roboneuron.tools.arm.motion_meter import MotionMeter
 
 
 def move_to_subject(places: Places, arguments: MoveToArguments) -> tuple[str, str] | None:
@@ -43,28 +36,18 @@ class MoveTo:
         await context.run(lambda _: meter.open())
         try:
             moved = await self._mover.go(arguments, context)
-            end = await context.run(lambda _: self._end(arm))
+            end = await context.run(lambda _: self._end(arm, meter))
         finally:
             meter.close()
         return moved.model_copy(update={**end, "max_tcp_speed_m_s": meter.highest_m_s})
 
-    def _end(self, arm: str) -> dict[str, object]:
+    def _end(self, arm: str, meter: MotionMeter) -> dict[str, object]:
         """Where the arm is measured now; nothing where control does not run."""
         try:
             position, rotation = self._pose_now(arm)
         except RoboNeuronError:
             return {}
-        profile = profile_of(self._host)
-        exposed = next(
-            one for one in self._host.gate.exposed if one.robot == self._host.config.robot.name
-        )
-        joints = self._host.gate.joints(exposed, _JOINTS_S)
-        return {
-            "position_m": np.round(position, 4).tolist(),
-            "yaw_deg": round(float(np.degrees(yaw_of(rotation))), 1),
-            "joint_margin": joint_margin(profile, joints),
-            "holding": Grip(self._host, self._host.gate, exposed, arm).holding(),
-        }
+        return meter.end(position, rotation)
 
 
 def move_to_tool(mover: MoveTo, places: Places) -> Tool[MoveToArguments]:

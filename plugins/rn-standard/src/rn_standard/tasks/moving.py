@@ -25,15 +25,11 @@ from roboneuron import (
     matrix_from_quaternion,
 )
 from roboneuron.server.rehearsal import Rehearsal
-from roboneuron.sight.looker import looker_of, seen_target
-from roboneuron.sight.marks import name_of
+from roboneuron.sight.looker import seen_top
 from roboneuron.tools.arm.absolute import go_to, wanted_rotation
-from roboneuron.tools.arm.bounds import check_route
-from roboneuron.tools.arm.end_effector import EndEffectorMover
+from roboneuron.tools.arm.bounds import check_targets
 from roboneuron.tools.arm.grip import check_gripper
 from roboneuron.tools.arm.options import fastest
-from roboneuron.tools.arm.routes import Waypoint
-from roboneuron.tools.arm.several_arms import OfArm
 
 _ABOVE_M = 0.10
 """Height of the TCP over the top of an object to which it moves."""
@@ -258,10 +254,9 @@ class Mover:
 
     def _over_object(self, arguments: MoveToArguments, who: str) -> tuple[F64, str]:
         """Position of the TCP over an object, and its name."""
-        _, one = seen_target(looker_of(self._host), who, arguments.object, arguments.mark)
+        top, name = seen_top(self._host, who, arguments.object, arguments.mark)
         above_m = _ABOVE_M if arguments.above_m is None else arguments.above_m
-        top = one.position_m + np.array([0.0, 0.0, float(one.size_m[2]) / 2 + above_m])
-        return top, name_of(one)
+        return top + np.array([0.0, 0.0, above_m]), name
 
     async def _to_place(
         self, name: str, place: PlaceOptions, speed: float, context: CallContext
@@ -294,15 +289,10 @@ class Mover:
         """Raise RefusedError unless the arm would get to these places; nothing moves. A twin, and
         an arm that something else moves, judge by themselves.
         """
-        tool = self._host.tools.get("move_ee") if self._judge is None else None
-        handler = None if tool is None else tool.handler
-        mover = handler.of(arm) if isinstance(handler, OfArm) else handler
-        if isinstance(mover, EndEffectorMover):
-            route = [
-                Waypoint(what=f"the target {name}", position_m=target, rotation=rotation)
-                for target in targets
-            ]
-            await context.run(lambda _: check_route(self._host, mover, "The motion", route, speed))
+        if self._judge is None:
+            await context.run(
+                lambda _: check_targets(self._host, arm, targets, rotation, what=name, speed=speed)
+            )
 
     async def _straight(
         self,

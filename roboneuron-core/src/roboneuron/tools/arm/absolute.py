@@ -11,7 +11,7 @@ from roboneuron.errors import InvalidInputError, NotReadyError
 from roboneuron.tools.arm.ee_line import F64
 from roboneuron.tools.arm.ee_move import AXES
 
-__all__ = ["go_to", "wanted_rotation", "yaw_of"]
+__all__ = ["go_to", "wanted_rotation"]
 """Names that other distributions may use."""
 
 _MOST_M, _MOST_RAD = 0.3, 1.2

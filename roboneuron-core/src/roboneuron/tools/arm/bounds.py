@@ -11,8 +11,9 @@ from roboneuron.server.host import Host
 from roboneuron.tools.arm.ee_line import F64
 from roboneuron.tools.arm.end_effector import EndEffectorMover
 from roboneuron.tools.arm.routes import Waypoint, rehearse
+from roboneuron.tools.arm.several_arms import OfArm
 
-__all__ = ["check_route"]
+__all__ = ["check_targets"]
 """Names that other distributions may use."""
 
 _AXES = ("x", "y", "z")
@@ -47,6 +48,34 @@ def check_route(
         rehearse(mover, route, speed)
     except RoboNeuronError as error:
         raise refused_route(host, subject, route, error) from error
+
+
+def check_targets(
+    host: Host, arm: str, targets: Sequence[F64], rotation: F64 | None, *, what: str, speed: float
+) -> None:
+    """Check straight motions of the TCP, one after the other from where it is measured; blocks, and
+    moves nothing. Nothing is checked where move_ee is not the tool of this package.
+
+    Args:
+        host: of the feature.
+        arm: name of one of several arms.
+        targets: places (3,) in the base frame [m].
+        rotation: (3, 3) at all of them; None keeps the present one.
+        what: the target, for messages.
+        speed: fraction of the fastest.
+
+    Raises:
+        RefusedError, InvalidInputError: as `check_route`.
+    """
+    tool = host.tools.get("move_ee")
+    handler = None if tool is None else tool.handler
+    mover = handler.of(arm) if isinstance(handler, OfArm) else handler
+    if isinstance(mover, EndEffectorMover):
+        route = [
+            Waypoint(what=f"the target {what}", position_m=target, rotation=rotation)
+            for target in targets
+        ]
+        check_route(host, mover, "The motion", route, speed)
 
 
 def refused_route(

@@ -36,9 +36,6 @@ from roboneuron.tools.arm.motion_meter import joint_margin
 from roboneuron.tools.arm.options import ArmToolsOptions, fastest
 from roboneuron.tools.arm.prediction import ArmControl, PredictedArm
 
-__all__ = ["EndEffectorMover"]
-"""Names that other distributions may use."""
-
 _MEASURED_S, _POSE_S, _AFTER_S = 2.0, 0.5, 1.0
 """Longest wait for control and the first measurement, for later measurements, and for that after
 the move.

@@ -13,7 +13,7 @@ from roboneuron.server.host import Host
 from roboneuron.server.motion_gate import ExposedEndpoint, MotionGate
 from roboneuron.tools.arm.grip_reports import commanded_opening
 
-__all__ = ["Grip", "check_gripper"]
+__all__ = ["check_gripper"]
 """Names that other distributions may use."""
 
 _MEASURED_S = 2.0

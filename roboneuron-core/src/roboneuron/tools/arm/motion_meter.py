@@ -8,13 +8,17 @@ from typing import Any
 
 import numpy as np
 
-from roboneuron.contract import JointSample, RobotProfile
+from roboneuron.contract import F64, JointSample, RobotProfile
 from roboneuron.server.host import Host
 from roboneuron.sight.inputs import Inputs, pose_of, pose_topic
+from roboneuron.tools.arm.absolute import yaw_of
+from roboneuron.tools.arm.grip import Grip
 from roboneuron.tools.arm.measured import SpeedMeter
 
-__all__ = ["MotionMeter", "joint_margin"]
+__all__ = ["MotionMeter"]
 """Names that other distributions may use."""
+
+_JOINTS_S = 0.5
 
 
 class MotionMeter:
@@ -25,6 +29,7 @@ class MotionMeter:
         host: of the feature.
         arm: name of one of several arms; "" for the only one.
         """
+        self._host, self._arm = host, arm
         self._inputs = Inputs(host)
         self._topic = pose_topic(host.config.namespace, arm)
         self._speeds = SpeedMeter()
@@ -44,6 +49,22 @@ class MotionMeter:
         """Highest speed so far [m/s]; None if nothing was measured."""
         highest_m_s = self._speeds.fastest_since(-math.inf)
         return None if highest_m_s is None else round(highest_m_s, 3)
+
+    def end(self, position_m: F64, rotation: F64) -> dict[str, object]:
+        """What is measured where the motion ended, as fields of an answer: `position_m`, `yaw_deg`,
+        `joint_margin` and `holding`.
+
+        Args:
+            position_m, rotation: measured TCP (3,), (3, 3) in the base frame.
+        """
+        gate, robot = self._host.gate, self._host.config.robot.name
+        exposed = next(one for one in gate.exposed if one.robot == robot)
+        return {
+            "position_m": np.round(position_m, 4).tolist(),
+            "yaw_deg": round(float(np.degrees(yaw_of(rotation))), 1),
+            "joint_margin": joint_margin(exposed.profile, gate.joints(exposed, _JOINTS_S)),
+            "holding": Grip(self._host, gate, exposed, self._arm).holding(),
+        }
 
     def close(self) -> None:
         """End; idempotent."""

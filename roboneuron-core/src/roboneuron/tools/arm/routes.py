@@ -22,9 +22,6 @@ from roboneuron.tools.arm.ee_move import MoveEndEffector
 from roboneuron.tools.arm.end_effector import EndEffectorMover
 from roboneuron.tools.arm.grip import Grip
 
-__all__ = ["Waypoint"]
-"""Names that other distributions may use."""
-
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Waypoint:

@@ -12,9 +12,6 @@ from roboneuron.errors import InvalidInputError
 from roboneuron.server.rehearsal import Needs, Rehearsable, Rehearsal
 from roboneuron.server.tool import Arguments, CallContext, Reply, Result
 
-__all__ = ["OfArm"]
-"""Names that other distributions may use."""
-
 A = TypeVar("A", bound=Arguments)
 T = TypeVar("T")
 H = TypeVar("H", bound=Callable[[Any, CallContext], Awaitable[Result | Reply]])
