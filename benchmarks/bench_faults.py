@@ -237,6 +237,16 @@ class Bench:
             self.note("inference frozen", MOTION, self.stood_s(at_s))
         finally:
             os.kill(process.pid, signal.SIGCONT)
+        modules = self.loop.modules
+        if not modules.changes.wait_for(
+            lambda: (
+                (report := modules.view("inference").report) is not None
+                and report.needs_start != ""
+            ),
+            3.0,
+        ):
+            raise NotSeen("not within 3 s: inference knows that it was frozen")
+        give_instruction(self.loop, "swing", 10.0)
 
     def press(self, way: str, press: Callable[[], object]) -> None:
         """Trigger one emergency stop, and reset it."""
