@@ -7,8 +7,7 @@ An arm swings. Each trial kills one module other than the robot (SIGKILL) and st
 "Silence" is the longest time in which the robot's joint states did not reach this process, from
 the kill until the arm moves again; "back" is the time from the start of the new module until the
 arm moves. A trial whose arm does not move within 30 s counts as lost, and the cell is built anew.
-"Files" are those of Fast DDS in shared memory that the variant left behind. The variants take
-turns.
+The variants take turns.
 """
 
 from __future__ import annotations
@@ -29,13 +28,13 @@ from unittest import mock
 
 import fault_loop
 import numpy as np
+import shared_memory
 from bench_faults import Bench, NotSeen
 from plugin_site import chunks
 from rich.console import Console
 from rich.table import Table
 
-from rn_standard.fastdds import processes
-from rn_standard.fastdds.segments import PREFIX, SHARED_MEMORY
+from rn_standard.fastdds import feature, processes
 from roboneuron.errors import RoboNeuronError
 from roboneuron.modules.settings import ModuleKind
 from roboneuron.supervisor.supervisor import Supervisor
@@ -51,7 +50,6 @@ class Results:
     silence_s: list[float] = field(default_factory=list)
     back_s: list[float] = field(default_factory=list)
     lost: list[str] = field(default_factory=list)
-    files: int = 0
 
 
 @contextmanager
@@ -88,8 +86,8 @@ def variant_of(name: str) -> Iterator[None]:
         elif name == "files alone":
             stack.enter_context(patch(processes, "release_dead_locks", lambda: 0))
             stack.enter_context(patch(processes, "SilentPorts", _NoPorts))
-            stack.enter_context(patch("rn_standard.fastdds.feature.PortWatch", _NoWatch))
-            stack.enter_context(patch("shared_memory.FEATURE", mock.Mock(on_join=None)))
+            stack.enter_context(patch(feature, "PortWatch", _NoWatch))
+            stack.enter_context(patch(shared_memory, "FEATURE", mock.Mock(on_join=None)))
         yield
 
 
@@ -117,7 +115,6 @@ def try_once(bench: Bench, kind: ModuleKind, results: Results) -> None:
 
 def run(name: str, results: Results, kills: int, rate_hz: float) -> None:
     """Kill modules of a cell of this variant; a lost trial ends its cell."""
-    before = set(SHARED_MEMORY.glob(f"{PREFIX}*"))
     done = 0
     while done < kills:
         with (
@@ -139,7 +136,6 @@ def run(name: str, results: Results, kills: int, rate_hz: float) -> None:
                         break
             finally:
                 bench.close()
-    results.files += len(set(SHARED_MEMORY.glob(f"{PREFIX}*")) - before)
 
 
 def main() -> int:
@@ -162,7 +158,7 @@ def main() -> int:
     table = Table(title=f"{arguments.kills} kills of each variant")
     for head in (
         *("variant", "silence: median, p95, longest [s]", "silent > 1 s"),
-        *("back: median, p95, longest [s]", "lost", "files"),
+        *("back: median, p95, longest [s]", "lost"),
     ):
         table.add_column(head)
     for name, result in results.items():
@@ -172,7 +168,6 @@ def main() -> int:
             str(sum(value > 1.0 for value in result.silence_s)),
             _quantiles(result.back_s),
             str(len(result.lost)),
-            str(result.files),
         )
     Console(width=130).print(table)
     return 0
