@@ -6,8 +6,8 @@ files alone, and without it.
 An arm swings. Each trial kills one module other than the robot (SIGKILL) and starts it again.
 "Silence" is the longest time in which the robot's joint states did not reach this process, from
 the kill until the arm moves again; "back" is the time from the start of the new module until the
-arm moves. A trial whose arm does not move within 30 s counts as lost, and the cell is built anew.
-The variants take turns.
+arm moves. A trial whose arm does not move within 30 s counts as lost, and the cell is built anew;
+so does one in which this process itself hangs, which is ended then. The variants take turns.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import itertools
 import json
 import os
 import signal
+import subprocess
 import sys
 import tempfile
 import time
@@ -40,6 +41,8 @@ from roboneuron.modules.settings import ModuleKind
 from roboneuron.supervisor.supervisor import Supervisor
 
 KILLED: tuple[ModuleKind, ...] = ("inference", "perception", "control")
+BEGIN_S, TRIAL_S = 120.0, 25.0
+"""Longest start of a cell and longest trial on a loaded machine."""
 VARIANTS = ("repair", "files alone", "nothing")
 
 
@@ -114,28 +117,48 @@ def try_once(bench: Bench, kind: ModuleKind, results: Results) -> None:
 
 
 def run(name: str, results: Results, kills: int, rate_hz: float) -> None:
-    """Kill modules of a cell of this variant; a lost trial ends its cell."""
-    done = 0
-    while done < kills:
-        with (
-            tempfile.TemporaryDirectory() as scratch,
-            variant_of(name),
-            fault_loop.moving_cell(
-                Path(scratch), rate_hz, backend="steady", policy=chunks(1, 0.0, rate_hz)
-            ) as (loop, witness),
-        ):
-            bench = Bench(loop, witness)
-            try:
-                while done < kills:
-                    kind = KILLED[done % len(KILLED)]
-                    done += 1
-                    try:
-                        try_once(bench, kind, results)
-                    except (NotSeen, RoboNeuronError) as error:
-                        results.lost.append(f"{kind}: {str(error)[:200]}")
-                        break
-            finally:
-                bench.close()
+    """Kill modules of one cell of this variant, up to the first lost trial."""
+    with (
+        tempfile.TemporaryDirectory() as scratch,
+        variant_of(name),
+        fault_loop.moving_cell(
+            Path(scratch), rate_hz, backend="steady", policy=chunks(1, 0.0, rate_hz)
+        ) as (loop, witness),
+    ):
+        bench = Bench(loop, witness)
+        try:
+            for trial in range(kills):
+                kind = KILLED[trial % len(KILLED)]
+                try:
+                    try_once(bench, kind, results)
+                except (NotSeen, RoboNeuronError) as error:
+                    results.lost.append(f"{kind}: {str(error)[:200]}")
+                    break
+                print(json.dumps(asdict(results)), flush=True)
+        finally:
+            bench.close()
+
+
+def take_turn(name: str, results: Results, kills: int, rate_hz: float) -> None:
+    """Kill modules in processes of their own, one for each cell."""
+    while kills > 0:
+        command = [sys.executable, __file__, "--cell", name, "--kills", str(kills)]
+        command += ["--rate-hz", str(rate_hz)]
+        child = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True)
+        hung = ""
+        try:
+            out, _ = child.communicate(timeout=BEGIN_S + kills * TRIAL_S)
+        except subprocess.TimeoutExpired:
+            os.killpg(child.pid, signal.SIGKILL)
+            out, _ = child.communicate()
+            hung = "the process of the server hung"
+        lines = [line for line in out.splitlines() if line.startswith("{")]
+        cell = Results(**json.loads(lines[-1])) if lines else Results()
+        results.silence_s += cell.silence_s
+        results.back_s += cell.back_s
+        lost = cell.lost or ([hung] if hung or not cell.back_s else [])
+        results.lost += lost
+        kills -= len(cell.back_s) + len(lost)
 
 
 def main() -> int:
@@ -147,11 +170,17 @@ def main() -> int:
     parser.add_argument("--turn", type=int, default=10, help="kills of a variant's turn")
     parser.add_argument("--rate-hz", type=float, default=100.0, help="of images and actions")
     parser.add_argument("--json", type=Path, help="write the raw seconds here")
+    parser.add_argument("--cell", choices=VARIANTS, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
+    if arguments.cell is not None:
+        result = Results()
+        run(arguments.cell, result, arguments.kills, arguments.rate_hz)
+        print(json.dumps(asdict(result)), flush=True)
+        return 0
     results = {name: Results() for name in VARIANTS}
     for first in range(0, arguments.kills, arguments.turn):
         for name, result in results.items():
-            run(name, result, min(arguments.turn, arguments.kills - first), arguments.rate_hz)
+            take_turn(name, result, min(arguments.turn, arguments.kills - first), arguments.rate_hz)
             if arguments.json:
                 text = json.dumps({name: asdict(result) for name, result in results.items()})
                 arguments.json.write_text(text)
@@ -170,6 +199,9 @@ def main() -> int:
             str(len(result.lost)),
         )
     Console(width=130).print(table)
+    for name, result in results.items():
+        for reason in result.lost:
+            print(f"{name}: {reason}")
     return 0
 
 

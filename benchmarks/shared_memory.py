@@ -16,7 +16,8 @@ from roboneuron.supervisor.supervisor import Supervisor
 def repaired(supervisor: Supervisor) -> Iterator[None]:
     """Repair shared memory as a server with rn-fastdds installed does."""
     repair = SharedMemoryRepair(None)
-    supervisor.on_join += (FEATURE.on_join or "",)
+    if FEATURE.on_join is not None:
+        supervisor.on_join += (FEATURE.on_join,)
     assert supervisor.link
     repair.start(cast(Any, SimpleNamespace(modules=supervisor)))
     try:
