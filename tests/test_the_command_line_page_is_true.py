@@ -46,9 +46,8 @@ def test_its_prose_names_the_packages_of_commands_that_requirements_lack(root: P
         if f"./plugins/{package}" not in listed
     }
     prose = " ".join(page.split())
+    packages = re.findall(r"((?:`[a-z -]+`(?:,| and)? ?)+)\((rn-[a-z0-9-]+)\)", prose)
     told = {
-        name: package
-        for names, package in re.findall(r"((?:`[a-z -]+`(?:,| and)? ?)+)\((rn-[a-z0-9-]+)\)", prose)
-        for name in re.findall(r"`([a-z -]+)`", names)
+        name: package for names, package in packages for name in re.findall(r"`([a-z -]+)`", names)
     }
     assert told == others

@@ -26,7 +26,13 @@ from rn_robot_fr3.profile import HOME_RAD, profile
 from rn_testing.domain import free_ros_domain
 from rn_testing.fakes import MemoryTopics
 from rn_testing.waiting import wait_until
-from roboneuron import InvalidInputError, JointCommand, NotReadyError, UnsafeError
+from roboneuron import (
+    ConfigurationError,
+    InvalidInputError,
+    JointCommand,
+    NotReadyError,
+    UnsafeError,
+)
 
 pytestmark = pytest.mark.ros
 ARM = "/fr3_arm_controller"
@@ -171,6 +177,13 @@ def test_a_forward_controller_gets_positions_in_its_order_and_a_gripper_says_wha
     wait_until(lambda: np.allclose(driver.read().joints.position[:7], expected, atol=1e-3), 30.0)
     wait_until(lambda: detail(driver, "gripper").startswith("stalled"), 30.0)
     assert driver.read().gripper_open == pytest.approx(0.5, abs=0.01)
+
+
+@pytest.mark.exhaustive
+def test_a_controller_that_forwards_velocities_is_refused(bench):
+    bench.controller("--type", "forward-position", "--interface", "velocity")
+    with pytest.raises(ConfigurationError, match="velocity"):
+        bench.driver(controller_type="forward-position")
 
 
 @pytest.mark.exhaustive

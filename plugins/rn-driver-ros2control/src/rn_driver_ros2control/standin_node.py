@@ -96,7 +96,7 @@ class StandInNode(Node):  # type: ignore[misc]
         self._refuses, self._loses = options.refuse_goals, options.lose_goals
         if options.type == "forward-position":
             self.declare_parameter("joints", list(joints))
-            self.declare_parameter("interface_name", "position")
+            self.declare_parameter("interface_name", options.interface)
             self.create_subscription(Float64MultiArray, "~/commands", self._on_positions, 10)
         else:
             self._offer_trajectories()
@@ -312,6 +312,9 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
         choices=["joint-trajectory", "forward-position"],
         default="joint-trajectory",
         help="of the controller, as the driver's option controller_type",
+    )
+    parser.add_argument(
+        "--interface", default="position", help="that a forward controller says it forwards"
     )
     parser.add_argument("--joint-states", default="/joint_states")
     parser.add_argument(
