@@ -59,7 +59,7 @@ class LekiwiDriver(LerobotDriver):
         options = config or LekiwiOptions()
         super().__init__(options, profile, topics)
         named = {endpoint.name: endpoint for endpoint in profile.endpoints}
-        self._velocity, self._odometry = named["velocity"], named["odometry"]
+        self._velocity_in, self._odometry_out = named["velocity"], named["odometry"]
         self._publish: Callable[[Odometry], None] | None = None
         self._is_rolling = False
         self._guard: WheelGuard | None = None
@@ -74,8 +74,8 @@ class LekiwiDriver(LerobotDriver):
         self._pose, self._observed_s = PlanarPose(), time.monotonic()
         self._refusal, self._refusals = "", 0
         if self._publish is None:
-            self._publish = self._topics.advertise(self._odometry.topic, Odometry)
-            self._topics.subscribe(self._velocity.topic, Twist, self._on_twist)
+            self._publish = self._topics.advertise(self._odometry_out.topic, Odometry)
+            self._topics.subscribe(self._velocity_in.topic, Twist, self._on_twist)
         super().open()
 
     def read(self) -> RobotState:
@@ -99,7 +99,7 @@ class LekiwiDriver(LerobotDriver):
             return
         with self._lock:
             try:
-                fields = check_twist(self._velocity, message)
+                fields = check_twist(self._velocity_in, message)
                 if fault := self._told_fault():
                     raise RefusedError(f"The base is held by a fault: {fault}.", rule="fault")
             except RefusedError as error:
