@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pydantic import ValidationError
 
 from rn_perception_camera.fit import fit
 from rn_perception_camera.lens import Undistortion, distort
@@ -144,3 +145,44 @@ def test_undistorted_and_resized_images_are_calibrated(
 def test_wrong_number_of_coefficients_is_refused() -> None:
     with pytest.raises(ConfigurationError, match="plumb_bob' with 3 coefficients"):
         Undistortion(K, "plumb_bob", (0.1, 0.0, 0.0), width=64, height=48)
+
+
+def test_coefficients_of_the_options_undistort_by_the_intrinsics_of_the_profile(
+    cell: Any, raw: Any, info: Any, pixels: Any
+) -> None:
+    d = (-0.2, 0.05, 0.0, 0.0, 0.0)
+    source = cell.source(front={"distortion": list(d)})
+    cell.topics.deliver("front", raw(pixels))
+    frame = source.read(1.0)
+    k = frame.calibration.intrinsics
+    assert k[0].tolist() == [
+        60.0,
+        0.0,
+        32.0,
+    ]  # the profile's, in front of images without distortion
+    expected = Undistortion(k, "plumb_bob", d, width=64, height=48).apply(pixels)
+    np.testing.assert_array_equal(frame.image, expected)
+
+
+def test_coefficients_without_intrinsics_are_refused(cell: Any, raw: Any, pixels: Any) -> None:
+    source = cell.source(calibrated=False, front={"distortion": [0.1, 0.0, 0.0, 0.0]})
+    cell.topics.deliver("front", raw(pixels))
+    with pytest.raises(ConfigurationError, match="no intrinsics"):
+        source.read(1.0)
+
+
+@pytest.mark.parametrize(
+    "table",
+    [
+        {"distortion": [0.1, 0.0, 0.0, 0.0], "camera_info": "info"},
+        {"distortion": [0.1, 0.0, 0.0, 0.0], "depth": "depth"},
+        {"distortion": [0.1]},
+        {"distortion": "undistort"},
+        {"distortion": "flatten", "camera_info": "info"},
+    ],
+)
+def test_a_distortion_that_does_not_fit_the_other_options_is_refused(
+    cell: Any, table: dict[str, Any]
+) -> None:
+    with pytest.raises(ValidationError, match="distort"):
+        cell.source(front=table)

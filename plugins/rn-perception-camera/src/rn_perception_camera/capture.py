@@ -10,6 +10,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from rn_perception_camera.devices import node_of, video_devices
 from rn_perception_camera.options import VideoCameraOptions
 from roboneuron import ConfigurationError, NotReadyError
 
@@ -59,7 +60,7 @@ def open_capture(options: VideoCameraOptions) -> tuple[Capture, float]:
 
     if options.path is not None:
         return _open_file(cv2, options.path, options.fps)
-    return _open_device(cv2, options), 0.0
+    return _open_device(cv2, options, options.device or 0), 0.0
 
 
 def _open_file(cv2: ModuleType, path: str, fps: float | None) -> tuple[Capture, float]:
@@ -80,8 +81,8 @@ def _open_file(cv2: ModuleType, path: str, fps: float | None) -> tuple[Capture, 
     return capture, pace_hz
 
 
-def _open_device(cv2: ModuleType, options: VideoCameraOptions) -> Capture:
-    capture: Capture = cv2.VideoCapture(options.device, cv2.CAP_V4L2)
+def _open_device(cv2: ModuleType, options: VideoCameraOptions, device: int | str) -> Capture:
+    capture: Capture = cv2.VideoCapture(node_of(device), cv2.CAP_V4L2)
     if not capture.isOpened():
         capture.release()
         raise _explain_absence(options.place)
@@ -106,8 +107,8 @@ def _open_device(cv2: ModuleType, options: VideoCameraOptions) -> Capture:
 
 
 def _explain_absence(place: str) -> NotReadyError:
-    present = ", ".join(sorted(str(path) for path in Path("/dev").glob("video[0-9]*"))) or "none"
-    if not Path(place).exists():
+    if place.startswith("/") and not Path(place).exists():
+        present = ", ".join(one.name for one in video_devices()) or "none"
         return NotReadyError(
             f"There is no camera {place}; V4L2 devices present: {present}.",
             hint="Plug it in, or correct the option device.",

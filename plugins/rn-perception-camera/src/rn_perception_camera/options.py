@@ -13,6 +13,14 @@ from roboneuron import ConfigurationOnly
 SIDE_PX = Annotated[int, Field(ge=1, le=8192)]
 
 
+def check_coefficients(distortion: tuple[float, ...]) -> None:
+    """Raise ValueError unless these are distortion coefficients of OpenCV."""
+    if len(distortion) not in (4, 5, 8):
+        raise ValueError(f"distortion has {len(distortion)} values, expected 4, 5 or 8")
+    if not all(map(math.isfinite, distortion)):
+        raise ValueError("distortion must be finite")
+
+
 class ResizeOptions(BaseModel):
     """Size of the output images, and the explicit treatment of the aspect ratio."""
 
@@ -78,11 +86,11 @@ class RosCameraOptions(_CameraOptions):
         description="topic of its depth, registered to the images and stamped like them: "
         "sensor_msgs/Image, 16UC1 [mm] or 32FC1 [m]",
     )
-    distortion: Literal["refuse", "undistort", "rectified"] = Field(
+    distortion: Literal["refuse", "undistort", "rectified"] | tuple[float, ...] = Field(
         default="refuse",
         description="a lens that camera_info says distorts: refuse it, undistort the images, or "
-        "rectified: the driver"
-        " has done so already",
+        "rectified: the driver has done so already; without camera_info coefficients as OpenCV "
+        "gives them, to undistort images by with the robot's intrinsics",
     )
     stamp: Literal["capture", "arrival"] = Field(
         default="capture",
@@ -97,11 +105,16 @@ class RosCameraOptions(_CameraOptions):
     def _check_pairs(self) -> Self:
         if (self.type is None) != (self.field is None):
             raise ValueError("type and field go together: the image is the field of that type")
-        if self.distortion != "refuse" and self.camera_info is None:
+        measured = None if isinstance(self.distortion, str) else self.distortion
+        if measured is not None:
+            check_coefficients(measured)
+            if self.camera_info is not None:
+                raise ValueError("distortion has coefficients, and so has camera_info: drop one")
+        elif self.distortion != "refuse" and self.camera_info is None:
             raise ValueError(
                 f'distortion = "{self.distortion}" needs camera_info, which tells the distortion'
             )
-        if self.depth is not None and self.distortion == "undistort":
+        if self.depth is not None and (measured is not None or self.distortion == "undistort"):
             raise ValueError("depth is not undistorted: use rectified images, registered to it")
         return self
 
@@ -120,7 +133,9 @@ class VideoCameraOptions(_CameraOptions):
     """One device or one file."""
 
     device: Annotated[int | str | None, ConfigurationOnly()] = Field(
-        default=None, description="number of a V4L2 device, or its path such as /dev/v4l/by-id/..."
+        default=None,
+        description="number of a V4L2 device, its path such as /dev/v4l/by-id/..., or its card "
+        "name, as `roboneuron cameras list` shows them",
     )
     path: Annotated[str | None, ConfigurationOnly()] = Field(
         default=None, min_length=1, description="a video file, instead of a device"
@@ -151,7 +166,7 @@ class VideoCameraOptions(_CameraOptions):
     distortion: tuple[float, ...] | None = Field(
         default=None,
         description="k1, k2, p1, p2, k3 or eight rational coefficients, as OpenCV gives them, to "
-        "undistort images by",
+        "undistort images by, with intrinsics or those of the robot's profile",
     )
 
     @model_validator(mode="after")
@@ -166,13 +181,10 @@ class VideoCameraOptions(_CameraOptions):
             )
         if self.device is not None and self.loop:
             raise ValueError("loop is for files")
-        if self.distortion is not None and self.intrinsics is None:
-            raise ValueError("distortion needs intrinsics")
-        if self.distortion is not None and len(self.distortion) not in (4, 5, 8):
-            raise ValueError(f"distortion has {len(self.distortion)} values, expected 4, 5 or 8")
-        numbers = (*(self.intrinsics or ()), *(self.distortion or ()))
-        if not all(math.isfinite(number) for number in numbers):
-            raise ValueError("intrinsics and distortion must be finite")
+        if self.distortion is not None:
+            check_coefficients(self.distortion)
+        if not all(map(math.isfinite, self.intrinsics or ())):
+            raise ValueError("intrinsics must be finite")
         if self.intrinsics is not None and min(self.intrinsics[:2]) <= 0:
             raise ValueError(f"focal lengths are {self.intrinsics[:2]}, expected more than 0")
         return self

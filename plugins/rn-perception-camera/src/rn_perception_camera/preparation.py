@@ -4,6 +4,7 @@ calibration.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from rn_perception_camera.fit import Fit, Size, fit, unchanged
 from rn_perception_camera.lens import Undistortion
 from rn_perception_camera.options import ResizeOptions
-from roboneuron import CameraCalibration, CameraProfile
+from roboneuron import CameraCalibration, CameraProfile, ConfigurationError
 
 U8 = NDArray[np.uint8]
 F64 = NDArray[np.float64]
@@ -76,3 +77,35 @@ def prepare(
     if calibration is not None:
         calibration = replace(calibration, intrinsics=chosen.to_intrinsics(calibration.intrinsics))
     return Preparation(fit=chosen, undistortion=undistortion, calibration=calibration)
+
+
+def measured_undistortion(
+    profile: CameraProfile,
+    size: Size,
+    coefficients: Sequence[float] | None,
+    intrinsics: F64 | None = None,
+) -> Undistortion | None:
+    """Undistortion of images of `size` by the coefficients of an option; None without any.
+
+    Args:
+        profile: contains the calibration whose intrinsics count if `intrinsics` is None.
+        size: width and height of the images [px].
+        coefficients: 4, 5 or 8, in the order of OpenCV.
+        intrinsics: float64 (3, 3) [px] of the images, pixel centres at integers + 0.5.
+
+    Raises:
+        ConfigurationError: no intrinsics are known for images of this size.
+    """
+    if coefficients is None or not any(coefficients):
+        return None
+    known = profile.calibration_at(*size)
+    if intrinsics is None and known is not None:
+        intrinsics = known.intrinsics
+    if intrinsics is None:
+        raise ConfigurationError(
+            f"Camera {profile.name!r} has distortion coefficients, but no intrinsics of images of "
+            f"{size[0]}x{size[1]} pixels.",
+            hint=f"Calibrate it at this size: `roboneuron cameras calibrate {profile.name}`.",
+        )
+    model = "rational_polynomial" if len(coefficients) == 8 else "plumb_bob"
+    return Undistortion(intrinsics, model, coefficients, width=size[0], height=size[1])

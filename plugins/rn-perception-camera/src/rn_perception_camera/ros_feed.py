@@ -16,7 +16,7 @@ from rn_perception_camera.camera_info import CameraFacts, read_optics
 from rn_perception_camera.fit import F32, Size
 from rn_perception_camera.nested import image_getter, load_type
 from rn_perception_camera.options import RosCameraOptions
-from rn_perception_camera.preparation import Preparation, prepare
+from rn_perception_camera.preparation import Preparation, measured_undistortion, prepare
 from roboneuron import (
     CameraProfile,
     ConfigurationError,
@@ -106,7 +106,8 @@ class CameraFeed:
                 f"Camera {self._profile.name!r} is to be calibrated by {options.camera_info!r}, "
                 "but the robot's profile"
                 " does not tell where it is mounted.",
-                hint="Leave camera_info out, or use a robot whose profile has this camera's mount.",
+                hint=f"Measure it: `roboneuron cameras calibrate {self._profile.name}`. Or leave "
+                "camera_info out.",
             )
         self._check_type(options.topic, options.type or self._image_type)
         if options.camera_info is not None:
@@ -298,11 +299,16 @@ class CameraFeed:
         facts = self._facts
         if self._preparation is not None and self._prepared == (size, facts):
             return self._preparation
-        if facts is None:
-            preparation = prepare(self._profile, size, self._options.resize)
+        distortion = self._options.distortion
+        if facts is None or not isinstance(distortion, str):
+            coefficients = None if isinstance(distortion, str) else distortion
+            undistortion = measured_undistortion(self._profile, size, coefficients)
+            preparation = prepare(
+                self._profile, size, self._options.resize, undistortion=undistortion
+            )
         else:
             try:
-                intrinsics, undistortion = read_optics(facts, size, self._options.distortion)
+                intrinsics, undistortion = read_optics(facts, size, distortion)
             except ConfigurationError as error:
                 raise ConfigurationError(
                     f"The calibration of camera {self._profile.name!r} on topic "

@@ -7,18 +7,19 @@ import time
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rn_perception_camera.arrivals import Arrivals
 from rn_perception_camera.capture import HANG_LIMIT_S, open_capture
 from rn_perception_camera.grabber import Grabbed, Grabber
-from rn_perception_camera.lens import Undistortion
 from rn_perception_camera.options import VideoCameraOptions, VideoCamerasOptions
-from rn_perception_camera.preparation import HALF_PIXEL, Preparation, prepare
+from rn_perception_camera.preparation import (
+    HALF_PIXEL,
+    Preparation,
+    measured_undistortion,
+    prepare,
+)
 from rn_perception_camera.served import check_cameras
 from roboneuron import CameraProfile, ConfigurationError, Frame, NotReadyError, StateError, Topics
-
-F64 = NDArray[np.float64]
 
 _JOIN_S = HANG_LIMIT_S + 1.0
 
@@ -59,8 +60,8 @@ class VideoCameras:
                 raise ConfigurationError(
                     f"Camera {name!r} has intrinsics, but the robot's profile does not tell where "
                     "it is mounted.",
-                    hint="Leave intrinsics out, or use a robot whose profile has this camera's "
-                    "mount.",
+                    hint=f"Measure it: `roboneuron cameras calibrate {name}`. Or leave intrinsics "
+                    "out.",
                 )
         if any(not grabber.join(0.0) for grabber in self._grabbers.values()):
             raise StateError(
@@ -130,13 +131,13 @@ class VideoCameras:
         if known is not None and known[0] == size:
             return known[1]
         options = self._options[name]
-        intrinsics, undistortion = _read_optics(options, size)
+        profile, intrinsics = self._profiles[name], None
+        if options.intrinsics is not None:
+            fx, fy, cx, cy = options.intrinsics
+            intrinsics = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]) + HALF_PIXEL
+        undistortion = measured_undistortion(profile, size, options.distortion, intrinsics)
         preparation = prepare(
-            self._profiles[name],
-            size,
-            options.resize,
-            intrinsics=intrinsics,
-            undistortion=undistortion,
+            profile, size, options.resize, intrinsics=intrinsics, undistortion=undistortion
         )
         self._preparations[name] = (size, preparation)
         return preparation
@@ -159,19 +160,3 @@ class VideoCameras:
             f"No image came within {timeout_s:g} s. {' '.join(parts)}",
             hint=" ".join(dict.fromkeys(hints)),
         )
-
-
-def _read_optics(
-    options: VideoCameraOptions, size: tuple[int, int]
-) -> tuple[F64 | None, Undistortion | None]:
-    """Intrinsics [px, pixel centres at integers + 0.5] and undistortion from the options."""
-    if options.intrinsics is None:
-        return None, None
-    fx, fy, cx, cy = options.intrinsics
-    intrinsics = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]) + HALF_PIXEL
-    if options.distortion is None or not any(options.distortion):
-        return intrinsics, None
-    model = "rational_polynomial" if len(options.distortion) == 8 else "plumb_bob"
-    return intrinsics, Undistortion(
-        intrinsics, model, options.distortion, width=size[0], height=size[1]
-    )
