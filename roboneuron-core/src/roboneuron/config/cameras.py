@@ -18,7 +18,7 @@ class CameraConfig(Section):
     """A pinhole camera at a measured pose, as `CameraCalibration`; lists where that has arrays."""
 
     mount: Annotated[str, Field(pattern=r"^(base|([A-Za-z0-9_-]+/)?tcp)$")] = Field(
-        description="what it is fixed to: base, tcp, or <arm>/tcp of a robot with several arms"
+        description="what it is fixed to: base, tcp (of several arms the first one's), or <arm>/tcp"
     )
     position_m: Point = Field(description="origin of its optical frame in the frame of its mount")
     quaternion_xyzw: list[float] = Field(

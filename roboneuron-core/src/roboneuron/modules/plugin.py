@@ -70,12 +70,12 @@ def _calibrated(
 ) -> CameraProfile:
     """The camera with the calibration of its section. Raises ConfigurationError."""
     where = f"[robot.cameras.{camera.name}]"
-    arms = [f"{arm.name}/tcp" for arm in profile.arms] or ["tcp"]
-    mounts = ("base", "tcp", *arms) if profile.tcp_link else ("base",)
+    others = [f"{arm.name}/tcp" for arm in profile.arms[1:]]
+    mounts = ["base", "tcp", *others] if profile.tcp_link else ["base"]
     if section.mount not in mounts:
         raise ConfigurationError(
             f"{where}: robot {profile.name!r} has no mount {section.mount!r}; it has "
-            f"{', '.join(dict.fromkeys(mounts))}."
+            f"{', '.join(mounts)}."
         )
     width, height = section.size or (camera.width, camera.height)
     known = None if camera.calibration is None else camera.calibration.intrinsics
