@@ -30,7 +30,7 @@ comma := ,
 WITH_EXTRAS := $(patsubst %/rn-backend-openpi,'%/rn-backend-openpi[ray]',$(patsubst %/rn-backend-pi0,'%/rn-backend-pi0[native]',\
   $(patsubst %/rn-recorder,'%/rn-recorder[export]',\
   $(patsubst %/rn-locator-transformers,'%/rn-locator-transformers[detectors]',\
-  $(patsubst %/rn-perception-camera,'%/rn-perception-camera[video]',\
+  $(patsubst %/rn-perception-camera,'%/rn-perception-camera[calibration]',\
   $(patsubst %/rn-eval,'%/rn-eval[ray$(comma)serve]',$(patsubst %/rn-metrics,'%/rn-metrics[otlp]',$(filter-out $(COMPILED),$(ALL_PACKAGES)))))))))
 SOURCES := $(wildcard $(addsuffix /src,$(ALL_PACKAGES)))
 PROJECTS := $(addsuffix /pyproject.toml,$(ALL_PACKAGES)) constraints.txt requirements.txt

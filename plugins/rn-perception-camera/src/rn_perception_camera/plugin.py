@@ -1,10 +1,12 @@
-"""Descriptors of this package: the perception sources "ros-camera" and "video-camera"."""
+"""Descriptors of this package: the perception sources "ros-camera" and "video-camera", and the
+command `cameras`.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-from roboneuron import PerceptionSpec, Requirement, hookimpl
+from roboneuron import CommandSpec, PerceptionSpec, Requirement, hookimpl
 
 _VIDEO = "pip install opencv-python-headless"
 
@@ -29,4 +31,16 @@ def roboneuron_perceptions() -> Sequence[PerceptionSpec]:
             case="rn_perception_camera.contract_cases:video_case",
             requires=(Requirement(module="cv2", install=_VIDEO),),
         ),
+    ]
+
+
+@hookimpl
+def roboneuron_commands() -> Sequence[CommandSpec]:
+    """The command for all cameras of a machine."""
+    return [
+        CommandSpec(
+            name="cameras",
+            summary="list cameras with a picture of each, print a calibration board, calibrate",
+            target="rn_cameras.command:Cameras",
+        )
     ]

@@ -1,0 +1,1 @@
+"""The command `roboneuron cameras`: list cameras, print a calibration board, calibrate."""
