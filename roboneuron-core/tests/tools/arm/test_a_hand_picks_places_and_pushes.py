@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from handling_cell import EDGE_M, Cell, pick, place, push
+from handling_cell import EDGE_M, Cell, cube, pick, place, push
 
-from roboneuron import NotReadyError, RefusedError, StateError
+from roboneuron import InvalidInputError, NotReadyError, RefusedError, StateError
+from roboneuron.tools.arm.picking import PickArguments, target_of
 
 
 def test_an_object_is_lifted_and_the_grasp_is_told(cell: Cell) -> None:
@@ -20,6 +21,41 @@ def test_an_object_is_lifted_and_the_grasp_is_told(cell: Cell) -> None:
     assert picked.grasped_at_m == pytest.approx([0.5, 0.0, EDGE_M / 2], abs=1e-3)
     assert cell.cubes["red"].position_m[2] > 0.1
     assert (picked.others_moved, picked.not_seen_after) == ([], [])
+
+
+HALF = EDGE_M / 2
+
+
+@pytest.mark.parametrize(
+    ("place_m", "meant"),
+    [
+        ((0.5, 0.0, HALF), "red"),
+        ((0.5 + HALF, HALF, EDGE_M), "red"),
+        ((0.5 - HALF, 0.0, 0.001), "red"),
+        ((0.5, 0.0, 0.0), "red"),
+        ((0.5 + HALF + 0.009, 0.0, HALF), "red"),
+        ((0.5, 0.0, EDGE_M + 0.012), ""),
+        ((0.5 + HALF + 0.012, 0.0, HALF), ""),
+        ((0.5, -0.15, EDGE_M - 0.004), "blue"),
+        ((0.5, -0.15, EDGE_M + 0.004), "green"),
+        ((0.5, -0.15, EDGE_M), ""),
+        ((0.5 + HALF, -0.15, 2 * EDGE_M), "green"),
+    ],
+)
+def test_a_position_means_the_object_on_whose_surface_it_is(
+    place_m: tuple[float, ...], meant: str
+) -> None:
+    """As `locate` tells it for any pixel of the object; between two that are as near, neither."""
+    upper = cube("green", 0.5, -0.15)
+    upper = replace(upper, position_m=upper.position_m + np.array([0.0, 0.0, EDGE_M]))
+    stacked = Cell(cube("red", 0.5), cube("blue", 0.5, -0.15), upper)
+    arguments = PickArguments(position_m=list(place_m))
+    if meant:
+        assert target_of(arguments, stacked, "agent")[1].colour == meant
+    else:
+        with pytest.raises(InvalidInputError) as refused:
+            target_of(arguments, stacked, "agent")
+        assert refused.value.path == "position_m"
 
 
 @pytest.mark.parametrize("act", ["pick", "place", "push"])

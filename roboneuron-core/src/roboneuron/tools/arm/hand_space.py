@@ -62,6 +62,12 @@ class UprightBox:
         """Half of its extent along a direction (2,) of unit length [m]."""
         return float(self.half @ np.abs(self.axes @ direction))
 
+    def distance_m(self, place_m: F64) -> float:
+        """Distance of a place (3,) from it; 0 inside."""
+        beside = np.abs(self.axes @ (place_m[:2] - self.centre)) - self.half
+        upright = max(self.bottom_m - place_m[2], place_m[2] - self.top_m)
+        return float(np.linalg.norm(np.maximum([*beside, upright], 0.0)))
+
 
 def gap_m(one: UprightBox, other: UprightBox) -> float:
     """Horizontal distance between two boxes, never told too large; negative where they overlap.

@@ -26,6 +26,7 @@ from roboneuron.tools.arm.doubt import judged, planned
 from roboneuron.tools.arm.end_effector import EndEffectorMover
 from roboneuron.tools.arm.grasps import Grasp, boxes_of, grasps_of, route_to_grasp
 from roboneuron.tools.arm.grip_height import GripHeight
+from roboneuron.tools.arm.hand_space import UprightBox
 from roboneuron.tools.arm.options import HandOptions
 from roboneuron.tools.arm.routes import (
     RobotCarrier,
@@ -37,8 +38,8 @@ from roboneuron.tools.arm.routes import (
 )
 from roboneuron.tools.arm.several_arms import arguments_of, handler_of
 
-_NEAR_M = 0.03
-"""An object within this distance of a given position is meant by it."""
+_NEAR_M, _SAME_M = 0.01, 0.002
+"""A position means the object that is nearest, at most so far, unless others are as near."""
 
 
 class PickArguments(Arguments):
@@ -178,7 +179,9 @@ def target_of(arguments: PickArguments, looker: Looker, who: str) -> tuple[CellL
         raise InvalidInputError("Give one of object, mark and position_m.", path="position_m")
     look = looker.look(who)
     place = np.array(arguments.position_m)
-    near = [one for one in look.objects if np.linalg.norm(one.position_m - place) < _NEAR_M]
+    away_m = [UprightBox.of(one).distance_m(place) for one in look.objects]
+    most_m = min(_NEAR_M, min(away_m, default=0.0) + _SAME_M)
+    near = [one for one, far in zip(look.objects, away_m, strict=True) if far <= most_m]
     if len(near) == 1:
         return look, near[0]
     told = f"{len(near)} objects are" if near else "No object is"
