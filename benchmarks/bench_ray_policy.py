@@ -34,7 +34,7 @@ from bench_serve_policy import ROWS, SOURCE, STEP_S, Ask, measure, seen, started
 from rn_backend_openpi.backend import PolicyBackend
 from rn_backend_openpi.options import PolicyOptions
 from rn_backend_openpi.serve_command import name_of
-from rn_backend_openpi.status_page import ask_status
+from rn_backend_openpi.statistics import ask_status
 from rn_testing.fakes.site import PluginSite
 from rn_testing.waiting import wait_until
 from roboneuron import NotReadyError, Observation

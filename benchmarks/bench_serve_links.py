@@ -44,7 +44,7 @@ from policy_servers import FarServer, pair  # noqa: E402
 from slow_cable import Link, SlowCable, open_tap  # noqa: E402
 
 from rn_backend_openpi.backend import PolicyBackend  # noqa: E402
-from rn_backend_openpi.images import CODINGS  # noqa: E402
+from rn_backend_openpi.coding import CODINGS  # noqa: E402
 from rn_backend_openpi.options import PolicyOptions  # noqa: E402
 from rn_backend_openpi.plugin import SHARED  # noqa: E402
 from rn_testing.fakes.backend import make_observation  # noqa: E402

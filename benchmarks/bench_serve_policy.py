@@ -36,7 +36,7 @@ from rn_backend_openpi.backend import PolicyBackend
 from rn_backend_openpi.options import PolicyOptions
 from rn_backend_openpi.plugin import SHARED
 from rn_backend_openpi.serve_command import name_of
-from rn_backend_openpi.status_page import ask_status
+from rn_backend_openpi.statistics import ask_status
 from rn_link.keys import (
     add_peer,
     make_machine,

@@ -25,7 +25,7 @@ pytest.importorskip("rn_eval")
 
 from sensor_msgs.msg import CompressedImage, Image
 
-from rn_backend_openpi.images import decode_image
+from rn_backend_openpi.messages import decode_image
 from rn_eval.wire import unpack
 from rn_recorder_runs.images import pixels_of
 from roboneuron import CameraProfile, InvalidInputError, frame_from_compressed, image_from_message

@@ -1,5 +1,5 @@
 """Strict stand-ins for the policy endpoints of openpi, SGLang and vLLM-Omni, written from their
-public definitions (named in `rn_backend_openpi.engines`) without the code under test.
+public definitions (named in `rn_backend_openpi.profiles`) without the code under test.
 
 The last two serve a LeRobot checkpoint in its own units: state and rows are normalised, rows are
 padded to 32 values, an unknown camera is ignored and computed as black.
@@ -7,7 +7,9 @@ padded to 32 values, an unknown camera is ignored and computed as black.
 
 from __future__ import annotations
 
+import ssl
 import threading
+from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
@@ -19,6 +21,8 @@ from openpi_format import decode, encode
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.server import Server, ServerConnection, serve
 
+from rn_testing.waiting import wait_until
+
 PADDED = 32
 CAMERAS = ("base_0_rgb", "left_wrist_0_rgb", "right_wrist_0_rgb")
 PREFIX = "observation.images."
@@ -26,70 +30,136 @@ Policy = Callable[[dict[str, NDArray[np.uint8]], NDArray[np.float32], str], NDAr
 """Images by camera, the state, the instruction; rows (H, n) in the network's units."""
 
 
-class EngineStandIn:
-    """A server at a free loopback port.
+class StandIn:
+    """A policy server at a free loopback port: metadata first, then `answer` for each message.
 
-    Args:
-        policy: the served network.
-        path: of its websocket; others are answered with HTTP 404.
+    Attributes:
+        path: of its websocket; others are answered with HTTP 404. Empty: any.
+        requests: the newest ones.
+        held: while it is not set, no request is answered.
     """
 
     path = ""
 
-    def __init__(self, policy: Policy) -> None:
-        self.policy = policy
-        self.requests: list[dict[Any, Any]] = []
+    def __init__(self) -> None:
+        self.requests: deque[dict[Any, Any]] = deque(maxlen=8)  # images are large
         self.connections: list[ServerConnection] = []
         self.held = threading.Event()
         self.held.set()
-        self._server: Server | None = None
+        self.tls: ssl.SSLContext | None = None
         self.port = 0
+        self._server: Server | None = None
 
     @property
     def url(self) -> str:
-        return f"ws://127.0.0.1:{self.port}"
+        return f"{'wss' if self.tls else 'ws'}://127.0.0.1:{self.port}"
 
     def start(self) -> None:
         """Listen; the second time on the same port."""
-        self._server = serve(
-            self._handle,
-            "127.0.0.1",
-            self.port,
-            compression=None,
-            max_size=None,
-            process_request=self._process,
-        )
+        options = {"compression": None, "max_size": None, "close_timeout": 0.2, "ssl": self.tls}
+        wait_until(lambda: self._listens(options), 5.0, "the port is free again")
+
+    def _listens(self, options: dict[str, Any]) -> bool:
+        place = ("127.0.0.1", self.port)
+        try:
+            self._server = serve(self._handle, *place, process_request=self._process, **options)
+        except OSError:
+            return False
         self.port = self._server.socket.getsockname()[1]
         threading.Thread(target=self._server.serve_forever, daemon=True).start()
+        return True
 
     def stop(self) -> None:
-        """Cut every connection and stop listening, like a killed process."""
+        """Stop listening and cut every connection, like a killed process."""
         self.held.set()
         if self._server is not None:
             self._server.shutdown()
             self._server = None
+        self.cut()
+
+    def cut(self) -> None:
+        """Cut every connection without a closing handshake."""
         for connection in self.connections:
             with suppress(OSError):
                 connection.socket.shutdown(2)
         self.connections.clear()
 
     def _process(self, connection: ServerConnection, request: Any) -> Any:
-        return None if request.path == self.path else connection.respond(404, "Not Found\n")
+        is_here = self.path in ("", request.path)
+        return None if is_here else connection.respond(404, "Not Found\n")
 
     def _handle(self, connection: ServerConnection) -> None:
         self.connections.append(connection)
-        try:
-            connection.send(self.packed(self.metadata()))
+        with suppress(ConnectionClosed):
+            self.greet()
+            connection.send(self.packed(self.metadata))
             while True:
                 self.answer(connection, connection.recv())
-        except ConnectionClosed:
-            return
 
-    def metadata(self) -> dict[str, Any]:
+    def greet(self) -> None:
+        """Called before the metadata are sent."""
+
+    @property
+    def metadata(self) -> Any:
         raise NotImplementedError
 
     def answer(self, connection: ServerConnection, data: str | bytes) -> None:
         raise NotImplementedError
+
+    def fail(self, connection: ServerConnection, error: Exception) -> None:
+        """Send a traceback and close, as openpi does."""
+        connection.send(
+            f"Traceback (most recent call last):\n  ...\n{type(error).__name__}: {error}\n"
+        )
+        connection.close(1011, "Internal server error. Traceback included in previous frame.")
+
+    @staticmethod
+    def packed(value: Any) -> Any:
+        """A message; bytes and text are sent unchanged."""
+        return value if isinstance(value, bytes | str) else msgpack.packb(value, default=encode)
+
+
+class ScriptedServer(StandIn):
+    """openpi's server with scripted answers.
+
+    `reply` gets each request and returns the reply; it may raise ValueError, return bytes or text
+    to be sent unchanged, or None for nothing.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.reply: Callable[[dict[Any, Any]], Any] = lambda request: {"actions": np.zeros((10, 7))}
+        self.told: Any = {"policy": "stand-in"}
+        self.wait: Callable[[], object] = lambda: None
+
+    @property
+    def metadata(self) -> Any:
+        return self.told
+
+    def greet(self) -> None:
+        self.wait()
+
+    def answer(self, connection: ServerConnection, data: str | bytes) -> None:
+        self.requests.append(msgpack.unpackb(data, object_hook=decode))
+        try:
+            reply = self.reply(self.requests[-1])
+        except ValueError as error:
+            self.fail(connection, error)
+            return
+        if reply is not None:
+            connection.send(self.packed(reply))
+
+
+class EngineStandIn(StandIn):
+    """A server of a network.
+
+    Args:
+        policy: the network.
+    """
+
+    def __init__(self, policy: Policy) -> None:
+        super().__init__()
+        self.policy = policy
 
     def actions(
         self, images: dict[str, NDArray[np.uint8]], state: Any, prompt: str
@@ -107,11 +177,6 @@ class EngineStandIn:
         padded[:, : rows.shape[1]] = rows
         return padded
 
-    @staticmethod
-    def packed(value: Any) -> bytes:
-        packed: bytes = msgpack.packb(value, default=encode)
-        return packed
-
 
 class SglangStandIn(EngineStandIn):
     """SGLang's pi0.5: `/openpi/policy`, or the envelopes of `/v1/actions/realtime`.
@@ -123,6 +188,7 @@ class SglangStandIn(EngineStandIn):
         super().__init__(policy)
         self.path = path
 
+    @property
     def metadata(self) -> dict[str, Any]:
         return {
             "object": "action.metadata",
@@ -141,8 +207,6 @@ class SglangStandIn(EngineStandIn):
 
     def answer(self, connection: ServerConnection, data: str | bytes) -> None:
         try:
-            if isinstance(data, str):
-                raise KeyError("bytes")
             request = msgpack.unpackb(data, object_hook=decode)
             self.requests.append(request)
             images = {
@@ -176,6 +240,7 @@ class VllmOmniStandIn(EngineStandIn):
 
     path = "/v1/realtime/robot/openpi"
 
+    @property
     def metadata(self) -> dict[str, Any]:
         return {
             "image_resolution": [224, 224],
@@ -190,15 +255,7 @@ class VllmOmniStandIn(EngineStandIn):
         }
 
     def answer(self, connection: ServerConnection, data: str | bytes) -> None:
-        if isinstance(data, str):
-            return
-        try:
-            request = msgpack.unpackb(data, object_hook=decode)
-            if not isinstance(request, dict):
-                raise TypeError("no map")
-        except Exception:
-            self._fail(connection, "Invalid request payload")
-            return
+        request = msgpack.unpackb(data, object_hook=decode)
         self.requests.append(request)
         if request.pop("endpoint", "infer") == "reset":
             connection.send(self.packed({"status": "reset successful"}))
@@ -209,12 +266,10 @@ class VllmOmniStandIn(EngineStandIn):
             }
             rows = self.actions(images, request["state"], request.get("prompt", ""))
         except Exception:
-            self._fail(connection, "Internal inference error")
+            told = {"type": "error", "message": "Internal inference error"}
+            connection.send(self.packed(told))
             return
         connection.send(self.packed(rows))
-
-    def _fail(self, connection: ServerConnection, message: str) -> None:
-        connection.send(self.packed({"type": "error", "message": message}))
 
 
 class OpenpiStandIn(EngineStandIn):
@@ -224,21 +279,18 @@ class OpenpiStandIn(EngineStandIn):
 
     path = "/"
 
+    @property
     def metadata(self) -> dict[str, Any]:
         return {}
 
     def answer(self, connection: ServerConnection, data: str | bytes) -> None:
         try:
-            if isinstance(data, str):
-                raise TypeError("no bytes")
             request = msgpack.unpackb(data, object_hook=decode)
             self.requests.append(request)
             images = {CAMERAS[0]: request["observation/image"]}
             self.held.wait(60.0)
             rows = self.policy(images, request["observation/state"], request["prompt"])
-        except Exception as error:  # as openpi does
-            told = f"Traceback (most recent call last):\n  ...\n{type(error).__name__}: {error}\n"
-            connection.send(told)
-            connection.close(1011, "Internal server error. Traceback included in previous frame.")
+        except Exception as error:
+            self.fail(connection, error)
             return
         connection.send(self.packed({"actions": rows, "policy_timing": {"infer_ms": 40.0}}))

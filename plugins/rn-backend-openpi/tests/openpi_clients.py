@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import http.client
+import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import msgpack
@@ -12,7 +14,11 @@ import numpy as np
 from openpi_format import decode, encode
 from websockets.sync.client import ClientConnection, connect
 
+from rn_backend_openpi.backend import PolicyBackend
 from rn_backend_openpi.case import Reflex, ReflexOptions, serving
+from rn_backend_openpi.options import PolicyOptions
+from rn_testing.waiting import wait_until
+from roboneuron import NotReadyError, Observation
 
 KEY = "a-key-of-some-length"
 TIMEOUT_S = 1.0
@@ -53,8 +59,43 @@ def served(**listen: Any) -> Iterator[str]:
 
 
 def http_get(url: str, path: str, **headers: str) -> tuple[int, bytes]:
-    host, _, port = url.partition("://")[2].partition(":")
-    asked = http.client.HTTPConnection(host, int(port), timeout=SLACK_S)
+    host, _, port = url.partition("://")[2].rpartition(":")
+    asked = http.client.HTTPConnection(host.strip("[]"), int(port), timeout=SLACK_S)
     asked.request("GET", path, headers=headers)
     answer = asked.getresponse()
     return answer.status, answer.read()
+
+
+@contextmanager
+def loaded(options: PolicyOptions) -> Iterator[PolicyBackend]:
+    """A loaded backend."""
+    backend = PolicyBackend(options)
+    backend.load()
+    try:
+        yield backend
+    finally:
+        backend.close()
+
+
+def check_it_recovers(backend: PolicyBackend, observation: Observation) -> None:
+    """Wait for the next answer."""
+
+    def answers() -> bool:
+        try:
+            backend.predict(observation)
+        except NotReadyError:
+            return False
+        return True
+
+    wait_until(answers, SLACK_S, "it is answered again")
+
+
+def make_certificate(folder: Path) -> tuple[Path, Path]:
+    """Files of a certificate for 127.0.0.1 and ::1, and of its key."""
+    pem, key = folder / "certificate.pem", folder / "key.pem"
+    command = (
+        "openssl req -x509 -newkey ec -pkeyopt ec_paramgen_curve:prime256v1 -nodes -days 2 "
+        f"-subj /CN=localhost -addext subjectAltName=IP:127.0.0.1,IP:::1 -keyout {key} -out {pem}"
+    )
+    subprocess.run(command.split(), check=True, capture_output=True, timeout=30)
+    return pem, key

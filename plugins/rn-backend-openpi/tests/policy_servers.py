@@ -29,10 +29,10 @@ from rn_backend_openpi.case import install, options_in
 from rn_backend_openpi.options import PolicyOptions
 from rn_backend_openpi.plugin import SHARED
 from rn_backend_openpi.serve_command import name_of
-from rn_backend_openpi.status_page import ask_status
+from rn_backend_openpi.statistics import ask_status
 from rn_testing.fakes.backend import make_observation
 from rn_testing.waiting import wait_until
-from roboneuron import NotReadyError, Observation
+from roboneuron import ActionChunk, Ahead, NotReadyError, Observation
 
 SEEN = make_observation(SHARED)
 PASSING = (
@@ -58,9 +58,10 @@ def pair(hub: Path, member: Path, *, name: str = "gpu", address: str = "127.0.0.
     admit(link_of(hub), link_of(member), name, address)
 
 
-def _toml(value: object) -> str:
+def toml_of(value: object) -> str:
+    """The value in TOML."""
     if isinstance(value, dict):
-        return "{" + ", ".join(f"{key} = {_toml(inner)}" for key, inner in value.items()) + "}"
+        return "{" + ", ".join(f"{key} = {toml_of(inner)}" for key, inner in value.items()) + "}"
     return json.dumps(value)
 
 
@@ -96,7 +97,7 @@ class RunningServer:
             "listen": {"port": 0, "directory": str(self.run), **listen},
             "models": {name: {"backend": "reflex", **given} for name, given in models.items()},
         }
-        self.config.write_text("".join(f"{key} = {_toml(tables[key])}\n" for key in tables))
+        self.config.write_text("".join(f"{key} = {toml_of(tables[key])}\n" for key in tables))
         self._process: subprocess.Popen[bytes] | None = None
 
     @property
@@ -194,6 +195,17 @@ def seen(number: int) -> Observation:
     image = np.full((48, 64, 3), 10 * number, dtype=np.uint8)
     return replace(
         SEEN, frames={"primary": replace(frame, image=image)}, instruction="x" * (number + 1)
+    )
+
+
+def ahead_of(chunk: ActionChunk) -> Ahead:
+    """The rows of a chunk after its first, of which three are committed."""
+    return Ahead(
+        rows=chunk.actions[1:],
+        committed_rows=3,
+        step_s=chunk.step_s,
+        context=chunk.context,
+        context_row=1,
     )
 
 

@@ -7,23 +7,27 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from policy_servers import RunningServer, robot_of
 
 from rn_backend_openpi.backend import PolicyBackend
 from rn_backend_openpi.case import install
 from rn_backend_openpi.introduction import from_profile, to_profile
+from rn_backend_openpi.messages import from_answer, to_answer
 from rn_backend_openpi.space import policy_space
+from rn_backend_openpi.wire import pack, unpack
 from rn_testing.fakes.site import PluginSite
 from roboneuron import (
     EE_DELTA,
+    ActionChunk,
     ArmProfile,
     CameraProfile,
     ConfigurationError,
+    ControlSpace,
     ForeignDataError,
     GripperProfile,
     RobotProfile,
@@ -34,6 +38,7 @@ pytestmark = pytest.mark.timeout(200)
 GRIP = GripperProfile(joint="finger", closed_position=0.0, open_position=0.08)
 SLIDES = '<robot name="r"><joint name="rail" type="prismatic"/></robot>'
 JOINTS = ("rail", "turn")
+TWELVE = tuple(f"{arm}{i}" for arm in "lr" for i in range(1, 7))
 ARM = RobotProfile(
     name="gantry",
     urdf=SLIDES,
@@ -47,12 +52,10 @@ PAIR = RobotProfile(
     name="pair",
     base_link="table",
     tcp_link="left_tcp",
-    arm_joints=("l1", "r1"),
+    arm_joints=TWELVE,
     arms=tuple(
-        ArmProfile(
-            name=name, joints=(f"{name[0]}1",), base_link="b", tcp_link=f"{name}_tcp", gripper=GRIP
-        )
-        for name in ("left", "right")
+        ArmProfile(name=name, joints=joints, base_link="b", tcp_link=f"{name}_tcp", gripper=GRIP)
+        for name, joints in (("left", TWELVE[:6]), ("right", TWELVE[6:]))
     ),
 )
 SOURCE = """
@@ -144,8 +147,49 @@ def test_what_is_no_robot_is_refused(changed: dict[str, Any]) -> None:
         to_profile({**from_profile(ARM), **changed})
 
 
-def test_before_it_is_reached_nobody_says_the_space_of_a_model_elsewhere() -> None:
-    assert policy_space({"address": "gpu:1"}, ARM) is None
-    given = {"address": "gpu:1", "space": {"kind": "joint_position", "rate_hz": 20.0}}
-    assert policy_space(given, ARM) == robot_space("joint_position", ARM, 20.0)
-    assert policy_space({"backend": "elsewhere"}, replace(ARM)) is EE_DELTA
+def sent(chunk: ActionChunk) -> ActionChunk:
+    """The chunk after encoding and decoding."""
+    found = unpack(pack(from_answer(chunk)))
+    assert isinstance(found, dict)
+    return to_answer(found)
+
+
+def test_the_space_travels_with_the_chunk_and_deltas_stay_the_contracts_own() -> None:
+    space = robot_space("joint_position", ARM, 30.0)
+    rows = np.full((2, space.size), 0.5)
+    assert sent(ActionChunk(actions=rows, step_s=1 / 30, space=space)).space == space
+    assert sent(ActionChunk(actions=np.zeros((1, 7)), step_s=0.1)).space is EE_DELTA
+
+
+def test_the_backend_that_holds_the_model_says_its_space() -> None:
+    own = {"profile": "own", "constants": "aloha", "joints": list(TWELVE)}
+    space = policy_space({"backend": "oft", "options": own}, PAIR)
+    assert space is not None
+    assert (space.kind, space.size) == ("joint_position", 14)
+    with pytest.raises(ConfigurationError, match="needs the option 'joints'"):
+        policy_space({"backend": "oft", "options": {**own, "joints": None}}, PAIR)
+    for options in ({"backend": "elsewhere"}, {"backend": "oft"}, {"no": 1}):
+        assert policy_space(options, PAIR) is EE_DELTA
+
+
+def test_the_space_of_a_model_with_an_address_is_said_by_a_person() -> None:
+    def space_of(**given: Any) -> ControlSpace | None:
+        return policy_space({"address": "gpu:1", **given}, PAIR)
+
+    assert space_of() is None, "before the server is reached"
+    space = space_of(space={"kind": "joint_position", "rate_hz": 20.0})
+    assert space == robot_space("joint_position", PAIR, 20.0)
+    assert space_of(space={"kind": "ee_delta"}) is EE_DELTA
+    turned = space.keys[::-1]
+    for kind in ("joint_position", "joint_delta"):
+        own = space_of(space={"kind": kind, "channels": list(turned)})
+        assert own is not None
+        assert (own.kind, own.keys, own.channels[-1]) == (kind, turned, space.channels[0])
+    for wrong in (
+        {"kind": "joint_position", "channels": ["l1", "elbow"]},
+        {"kind": "joint_position", "channels": ["left/l1", "left/l1"]},
+        {"kind": "sideways"},
+        {"kind": "ee_delta", "channels": ["x"]},
+    ):
+        with pytest.raises(ConfigurationError, match="The option space"):
+            space_of(space=wrong)

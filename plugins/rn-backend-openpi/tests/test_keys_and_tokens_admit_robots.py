@@ -7,7 +7,17 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from openpi_clients import (
+    INTERFACE,
+    KEY,
+    http_get,
+    loaded,
+    make_certificate,
+    open_client,
+    served,
+)
 from policy_servers import (
+    SEEN,
     Robot,
     Serve,
     answers,
@@ -15,7 +25,10 @@ from policy_servers import (
     pair,
     said_to,
 )
+from pydantic import ValidationError
+from websockets.exceptions import InvalidMessage
 
+from rn_backend_openpi.backend import PolicyBackend
 from rn_backend_openpi.options import PolicyOptions
 from rn_backend_openpi.security import Guard, is_loopback, place_of
 from rn_backend_openpi.server_options import ListenOptions
@@ -56,35 +69,109 @@ def test_a_machine_that_is_removed_is_cut_off_at_both_ends(
     assert not answers(one)
 
 
-def test_a_token_admits_and_a_wrong_one_is_refused(
-    serve: Serve, robot: Robot, tmp_path: Path
+@pytest.fixture
+def files(tmp_path: Path) -> dict[str, str]:
+    """Files of a key and a certificate."""
+    pem, key = make_certificate(tmp_path)
+    token = tmp_path / "a-token"
+    token.write_text(KEY)
+    token.chmod(0o600)
+    return {"certificate": str(pem), "key": str(key), "token_file": str(token)}
+
+
+def test_a_token_admits_and_whoever_has_none_is_told_nothing(files: dict[str, str]) -> None:
+    upgrade = "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
+    key = "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n"
+    wrong = ("", "x", "Api-Key", "Api-Key x", f"Bearer {KEY}", f"Api-Key {KEY}x")
+    with served(keys="token", token_file=files["token_file"]) as url:
+        port = int(url.rpartition(":")[2])
+        for shown in (*wrong, "Api-Key \xe4", "x" * 3000):
+            head = f"GET / HTTP/1.1\r\nHost: x\r\nAuthorization: {shown}\r\n"
+            heard = said_to(port, (head + upgrade + key).encode("latin-1"))
+            assert heard.startswith(b"HTTP/1.1 401 ")
+            assert heard.endswith(b"\r\n\r\n"), "no word about the server"
+        assert http_get(url, "/healthz") == (200, b"OK\n")
+        for path in ("/", "/metrics", "/status", "/../etc/passwd"):
+            assert http_get(url, path) == (401, b"")
+        status, body = http_get(url, "/", Authorization=f"Api-Key {KEY}")
+        assert status == 426  # not a websocket
+        assert KEY.encode() not in body
+
+
+@pytest.mark.parametrize("mode", [0o640, 0o604, 0o620])
+@pytest.mark.parametrize("holder", ["key", "certificate"])
+def test_a_key_that_others_may_use_is_refused(
+    files: dict[str, str], holder: str, mode: int
 ) -> None:
-    server = serve(keys="token")
-    token = tmp_path / "token"
-    assert token.stat().st_mode & 0o777 == 0o600
-    assert answers(robot(server.address, token_file=str(token)))
-    port = server.port
-    for wrong in (
-        "",
-        "x",
-        "Api-Key",
-        "Api-Key x",
-        "Bearer " + token.read_text().strip(),
-        f"Api-Key {token.read_text().strip()}x",
-        "Api-Key \xe4",
-        "x" * 3000,
+    """The key is in a file of its own, or beside the certificate."""
+    listen = {"keys": "none", "certificate": files["certificate"], "key": files["key"]}
+    if holder == "certificate":
+        with Path(files["certificate"]).open("a") as file:
+            file.write(Path(files["key"]).read_text())
+        del listen["key"]
+    place = Path(files[holder])
+    place.chmod(0o600)
+    assert Guard(ListenOptions.model_validate(listen)).context is not None
+    place.chmod(mode)
+    with pytest.raises(ConfigurationError, match="others can read"):
+        Guard(ListenOptions.model_validate(listen))
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "::1", "localhost"])
+def test_key_and_certificate_from_end_to_end(
+    files: dict[str, str], tmp_path: Path, host: str
+) -> None:
+    other = tmp_path / "other"
+    other.write_text("y" * 32)
+    other.chmod(0o600)
+    with served(keys="token", host=host, **files) as url:
+        port = url.rpartition(":")[2]
+        address = f"[::1]:{port}" if host == "::1" else f"127.0.0.1:{port}"
+        for place in ({"url": f"wss://{address}", **INTERFACE}, {"address": address}):
+            trusted = {**place, "ca_file": files["certificate"]}
+            right = {**trusted, "token_file": files["token_file"]}
+            for given, word in (
+                ({**right, "ca_file": None}, "not trusted"),
+                ({**right, "ca_file": files["key"]}, "holds no certificate"),
+                ({**trusted, "token_file": str(other)}, "refused the key"),
+            ):
+                if "address" in place and given["ca_file"] is None:
+                    continue  # it is not encrypted then
+                with pytest.raises(ConfigurationError, match=word):
+                    PolicyBackend(PolicyOptions(**given)).load()
+            with loaded(PolicyOptions(**right)) as backend:
+                assert backend.predict(SEEN).metrics["connections"] == 1
+        with pytest.raises((InvalidMessage, OSError)):
+            open_client(url.replace("wss", "ws"))
+
+
+def test_other_machines_are_let_in_with_key_and_certificate_or_on_purpose(
+    files: dict[str, str], caplog: pytest.LogCaptureFixture
+) -> None:
+    def check(host: str, *names: str, **more: Any) -> tuple[bool, bool]:
+        keys = "token" if "token_file" in names else "none"
+        chosen = {"host": host, "keys": keys, **{name: files[name] for name in names}, **more}
+        guard = Guard(ListenOptions.model_validate(chosen))
+        return bool(guard.token), guard.context is not None
+
+    for host in ("127.0.0.1", "localhost", "::1"):
+        assert check(host) == (False, False)
+    for host, names, lacks in (
+        ("0.0.0.0", (), "no token_file and certificate"),
+        ("::", (), "no token_file and certificate"),
+        ("gpu.lab", ("token_file",), "there is no certificate"),
+        ("10.0.0.5", ("certificate", "key"), "there is no token_file"),
     ):
-        head = f"GET / HTTP/1.1\r\nHost: x\r\nAuthorization: {wrong}\r\n"
-        upgrade = "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
-        key = "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n"
-        heard = said_to(port, (head + upgrade + key).encode("latin-1"))
-        assert heard.startswith(b"HTTP/1.1 401 ")
-        assert heard.endswith(b"\r\n\r\n"), "no word about the server"
-    assert not said_to(port, b"GET /status HTTP/1.1\r\nHost: x\r\n\r\n").startswith(b"HTTP/1.1 2")
-    (tmp_path / "other").write_text("y" * 32)
-    (tmp_path / "other").chmod(0o600)
-    with pytest.raises(ConfigurationError, match="refused the key"):
-        robot(server.address, token_file=str(tmp_path / "other"))
+        with pytest.raises(ConfigurationError, match=lacks):
+            check(host, *names)
+    assert check("10.0.0.5", *files) == (True, True)
+    assert caplog.text == ""
+    assert check("0.0.0.0", insecure=True) == (False, False)
+    assert "without token_file and certificate" in caplog.text
+    with pytest.raises(ValidationError, match="no use without certificate"):
+        check("127.0.0.1", "key")
+    with pytest.raises(ConfigurationError, match="cannot be used"):
+        check("127.0.0.1", certificate=files["token_file"])
 
 
 def test_a_token_is_read_from_a_file_that_only_its_owner_reads(tmp_path: Path) -> None:
@@ -125,6 +212,8 @@ def test_a_key_comes_from_the_environment(monkeypatch: pytest.MonkeyPatch) -> No
         ({"url": "ws://10.0.0.5:8000", "allow_insecure_key": True}, False, "warned"),
         ({"address": "localhost:1"}, False, "sent"),
         ({"address": "192.0.2.1:7420"}, False, "refused"),
+        ({"address": "[::1]:7420"}, False, "sent"),
+        ({"address": "[2001:db8::7]:7420"}, False, "refused"),
     ],
 )
 def test_a_token_is_sent_unencrypted_on_this_machine_or_on_purpose(

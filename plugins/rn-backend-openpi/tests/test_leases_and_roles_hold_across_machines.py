@@ -1,10 +1,12 @@
-"""Agents on both machines, a policy on one, the robot on the other (network namespaces): who may
-start and switch it, what ends when its operator stops sending heartbeats or the cable is cut, and
-that nothing moves afterwards without a new start. Needs root.
+"""Agents on the machines of a robot and of its policies (network namespaces): who may start and
+switch a policy, what ends when its operator stops sending heartbeats or the cable is cut, that
+nothing moves afterwards without a new start, and that a running task moves from one machine to
+another by its name. Needs root.
 """
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -30,7 +32,7 @@ pytestmark = [
     pytest.mark.skipif(bool(impossible()), reason=impossible() or "possible"),
 ]
 WATCHER = Path(__file__).parents[2] / "rn-link" / "tests" / "link_watcher.py"
-PORT, LEASE_S = 8765, 8.0
+PORT, LEASE_S = 8765, 20.0
 ROLES = {"ann": "admin", "bob": "operator", "eve": "viewer"}
 REFLEX = {"rows": 16, "step_s": 0.1, "gain": 0.00004}
 CONFIG = f"""
@@ -62,6 +64,9 @@ host = "gpu"
 [hosts.gpu]
 address = "gpu:7420"
 options = {{ timeout_s = 0.4 }}
+[hosts.attic]
+address = "attic:7420"
+options = {{ timeout_s = 0.4 }}
 """ + "".join(
     f'[[http.tokens]]\nname = "{name}"\nrole = "{role}"\nvariable = "TEST_{name.upper()}"\n'
     for name, role in ROLES.items()
@@ -73,32 +78,35 @@ LOOK_S = 2.0
 
 @dataclass
 class Lab:
-    """Both machines, their processes, and the joints of the arm.
+    """The machines, their processes, and the joints of the arm.
 
     Attributes:
+        machines: `gpu` and `attic`, each with a policy server.
         ann: at the robot, with all rights.
-        bob, eve: at the policy's machine; an operator and a viewer.
+        bob, eve: at the machine `gpu`; an operator and a viewer.
     """
 
-    robot: Machine
-    gpu: Machine
-    server: FarServer
+    machines: dict[str, Machine]
+    servers: dict[str, FarServer]
     watcher: Talker
     ann: FarAgent
     bob: FarAgent
     eve: FarAgent
 
-    def start(self, agent: FarAgent) -> None:
-        """Let an agent become the operator, and let the policy on the other machine move the
-        arm.
-        """
+    @property
+    def gpu(self) -> Machine:
+        """The machine with the policy."""
+        return self.machines["gpu"]
+
+    def start(self, agent: FarAgent, host: str = "gpu") -> None:
+        """Let an agent become the operator, and let the policy on another machine move the arm."""
         agent.beat()
         for tool in ("start_robot", "start_perception", "start_control"):
             agent.do(tool)
-        agent.do("start_inference", model="one", host="gpu", instruction="go on")
+        agent.do("start_inference", model="one", host=host, instruction="go on")
         wait_until(lambda: self.watcher.report().get("positions"), 60.0, "the arm is measured")
         self.wait_until_it_moves()
-        self.wait_until_it_asks()
+        self.wait_until_it_asks(host)
 
     def moved_rad(self, within_s: float = LOOK_S) -> float:
         """Motion of the joint that moves most within this time [rad]."""
@@ -122,14 +130,18 @@ class Lab:
         assert self.moved_rad(4.0) < STILL_RAD, "nobody has asked for motion"
         assert self.asked() == asked, "nor is the policy asked"
 
-    def asked(self) -> int:
-        """Number of requests answered by the policies on the other machine."""
-        return sum(int(model["batches"]) for model in self.server.status()["models"].values())
+    def asked(self, host: str = "gpu") -> int:
+        """Number of requests answered by the policies on another machine."""
+        models = self.servers[host].status()["models"]
+        return sum(int(model["batches"]) for model in models.values())
 
-    def wait_until_it_asks(self) -> None:
-        """Wait for the robot to use the other machine."""
-        before = self.asked()
-        wait_until(lambda: self.asked() > before + 5, 60.0, "the other machine is asked")
+    def wait_until_it_asks(self, host: str = "gpu") -> None:
+        """Wait for the robot to use another machine, while the third one rests."""
+        (third,) = self.machines.keys() - {host}
+        before, resting = self.asked(host), self.asked(third)
+        wait_until(lambda: self.asked(host) > before + 5, 60.0, f"{host} is asked")
+        assert self.asked(third) - resting <= 1
+        assert f'"host": "{host}"' in json.dumps(self.ann.do("get_status"))
 
     def inference(self, agent: FarAgent) -> dict[str, Any]:
         """Status of the inference module."""
@@ -173,28 +185,30 @@ def served_robot(robot: Machine, site: str) -> Iterator[str]:
 
 @pytest.fixture
 def lab(tmp_path: Path) -> Iterator[Lab]:
-    with machines(tmp_path, "robot", "gpu") as made, ExitStack() as stack:
-        robot, gpu = made["robot"], made["gpu"]
-        pair(robot.state, gpu.state, address=gpu.address)
-        folder = tmp_path / "g"  # short enough for the path of a socket
-        folder.mkdir()
+    with machines(tmp_path, "robot", "gpu", "attic") as made, ExitStack() as stack:
+        robot, servers = made.pop("robot"), {}
         models = {name: {"options": REFLEX} for name in ("one", "other")}
-        server = FarServer(folder, models, {"host": "0.0.0.0", "port": 7420}, gpu.state)
-        server.machine = gpu
-        stack.callback(server.end)
-        server.start()
+        for name, machine in made.items():
+            pair(robot.state, machine.state, name=name, address=machine.address)
+            folder = tmp_path / name[0]  # short enough for the path of a socket
+            folder.mkdir()
+            listen = {"host": "0.0.0.0", "port": 7420}
+            server = servers[name] = FarServer(folder, models, listen, machine.state)
+            server.machine = machine
+            stack.callback(server.end)
+            server.start()
         path = os.pathsep.join(filter(None, (str(folder / "site"), os.environ.get("PYTHONPATH"))))
         url = stack.enter_context(served_robot(robot, path))
         wait = f"until (exec 3<>/dev/tcp/{robot.address}/{PORT}) 2>&-; do sleep 0.1; done"
-        subprocess.run(gpu.inside("bash", "-c", wait), check=True, timeout=60.0)
+        subprocess.run(made["gpu"].inside("bash", "-c", wait), check=True, timeout=60.0)
         agents = {
-            name: FarAgent(robot if name == "ann" else gpu, url, token)
+            name: FarAgent(robot if name == "ann" else made["gpu"], url, token)
             for name, token in TOKENS.items()
         }
         for agent in agents.values():
             stack.callback(agent.close)
         watcher = robot.talk("watcher", script=WATCHER)
-        yield Lab(robot, gpu, server, watcher, **agents)
+        yield Lab(made, servers, watcher, **agents)
 
 
 def test_one_operator_holds_the_policy_of_another_machine_while_it_is_heard_of(lab: Lab) -> None:
@@ -258,3 +272,23 @@ def test_neither_a_lapsed_lease_nor_a_stop_needs_the_cable_and_nothing_moves_wit
     lab.ann.do("set_instruction", instruction="go on")
     lab.wait_until_it_moves()
     lab.wait_until_it_asks()
+
+
+def test_a_running_task_moves_between_machines_and_stays_where_the_other_is_out_of_reach(
+    lab: Lab,
+) -> None:
+    lab.start(lab.ann, "attic")
+    missed = []
+    for name in ("gpu", "attic", "gpu"):
+        switched = lab.ann.do("switch_inference", model="one", host=name)
+        assert switched["mode"] == "warm"
+        missed.append(switched["missed"])
+        lab.wait_until_it_asks(name)
+        lab.wait_until_it_moves()
+    assert min(missed) == 0, missed
+    assert max(missed) <= 1, "a busy machine may cost one"
+    lab.machines["attic"].cut()
+    assert "attic" in lab.ann.fail("switch_inference", model="one", host="attic")
+    before = lab.asked()
+    wait_until(lambda: lab.asked() > before + 5, 30.0, "gpu goes on")
+    lab.wait_until_it_moves()

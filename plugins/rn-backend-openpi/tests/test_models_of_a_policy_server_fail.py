@@ -9,12 +9,7 @@ import time
 from pathlib import Path
 
 import pytest
-from policy_servers import (
-    SEEN,
-    Robot,
-    Serve,
-    answers,
-)
+from policy_servers import SEEN, Robot, Serve, answers, servers_in
 
 from rn_testing.waiting import wait_until
 from roboneuron import (
@@ -64,47 +59,33 @@ def test_a_model_that_dies_is_an_error_at_once_and_comes_back(serve: Serve, robo
     assert after["quick"]["pid"] == before["quick"]["pid"]
 
 
-def test_a_model_that_hangs_costs_no_more_than_the_deadline(serve: Serve, robot: Robot) -> None:
-    server = serve()
-    one = robot(server.address, timeout_s=0.3)
-    wait_until(lambda: answers(one), 60.0, "it answers")
-    pid = server.status()["models"]["only"]["pid"]
-    os.kill(pid, signal.SIGSTOP)
-    stat = Path(f"/proc/{pid}/stat")
-    wait_until(lambda: stat.read_text().rpartition(")")[2].split()[0] == "T", 20.0, "it stands")
-    try:
-        begun_s = time.monotonic()
-        for _ in range(5):
-            with pytest.raises(NotReadyError):
-                one.predict(SEEN)
-        assert time.monotonic() - begun_s < 5 * 0.3 + SLACK_S
-    finally:
-        os.kill(pid, signal.SIGCONT)
-    wait_until(lambda: answers(one), 60.0, "it goes on")
-
-
-@pytest.mark.parametrize("how", ["killed", "frozen"])
-@pytest.mark.sampled(every=2)
-def test_a_server_that_goes_is_found_again_and_nobody_waits_beyond_a_deadline(
+@pytest.mark.parametrize("how", ["model frozen", "killed", "frozen"])
+@pytest.mark.sampled(every=3)
+def test_what_hangs_or_goes_is_found_again_and_nobody_waits_beyond_a_deadline(
     serve: Serve, robot: Robot, how: str
 ) -> None:
     server = serve()
     one = robot(server.address, timeout_s=0.4)
     wait_until(lambda: answers(one), 60.0, "it answers")
     port, longest_s = server.port, 0.0
+    pid = server.status()["models"]["only"]["pid"] if how == "model frozen" else server.pid
     if how == "killed":
         server.kill()
     else:
-        os.kill(server.pid, signal.SIGSTOP)
-    for _ in range(5):
-        begun_s = time.monotonic()
-        assert not answers(one)
-        longest_s = max(longest_s, time.monotonic() - begun_s)
+        os.kill(pid, signal.SIGSTOP)
+        stat = Path(f"/proc/{pid}/stat")
+        wait_until(lambda: ") T" in stat.read_text(), 20.0, "it stands")
+    try:
+        for _ in range(5):
+            begun_s = time.monotonic()
+            assert not answers(one)
+            longest_s = max(longest_s, time.monotonic() - begun_s)
+    finally:
+        if how != "killed":
+            os.kill(pid, signal.SIGCONT)
     assert longest_s < 0.4 + SLACK_S, "a robot has waited beyond its deadline"
     if how == "killed":
         server.start("--port", str(port))
-    else:
-        os.kill(server.pid, signal.SIGCONT)
     wait_until(lambda: answers(one), 60.0, "the robot is back by itself")
 
 
@@ -141,3 +122,39 @@ def test_a_server_that_ends_ends_its_models_even_when_it_is_killed(serve: Serve)
     pids = [model["pid"] for model in server.status()["models"].values()]
     server.kill()
     wait_until(lambda: not any(Path(f"/proc/{pid}/exe").exists() for pid in pids), 60.0)
+
+
+def test_a_server_that_dies_is_a_clear_error_and_then_there_is_another(
+    spawned: Robot, tmp_path: Path
+) -> None:
+    one, other = spawned(), spawned()
+    (pid,) = servers_in(tmp_path)
+    os.kill(pid, signal.SIGKILL)
+    with pytest.raises(NotReadyError, match="policy server"):
+        one.predict(SEEN)
+    wait_until(lambda: answers(one), 90.0, "another server answers")
+    wait_until(lambda: answers(other), 90.0, "the other robot has found it too")
+    wait_until(lambda: len(servers_in(tmp_path)) == 1, 90.0, "there is one of them")
+    assert servers_in(tmp_path) != [pid]
+
+
+@pytest.mark.parametrize("python", ["/bin/false", "/no/python"])
+def test_an_interpreter_that_runs_no_server_is_one_clear_error(spawned: Robot, python: str) -> None:
+    with pytest.raises(ConfigurationError, match="server of the shared model"):
+        spawned(python=python)
+
+
+def test_why_a_model_cannot_be_loaded_is_told_as_its_backend_says_it(served: Robot) -> None:
+    with pytest.raises(CheckpointError, match=r"There are no weights\. Copy some"):
+        served(options={"fails": True})
+    with pytest.raises(ConfigurationError, match="'absent'"):
+        served(backend="absent")
+
+
+@pytest.mark.exhaustive
+def test_a_server_without_robots_ends_and_leaves_no_socket(spawned: Robot, tmp_path: Path) -> None:
+    one = spawned(idle_s=1.0)
+    assert answers(one)
+    one.close()
+    wait_until(lambda: not servers_in(tmp_path), 90.0, "it ends")
+    assert list((tmp_path / "run").glob("*.sock")) == []

@@ -17,7 +17,6 @@ from rn_backend_openpi.rows import PoseRows, Rows
 from rn_backend_openpi.space import policy_space
 from rn_robot_fr3.profile import profile as fr3_profile
 from roboneuron import (
-    EE_DELTA,
     ArmState,
     ConfigurationError,
     Frame,
@@ -162,13 +161,88 @@ def test_values_that_are_no_rotation_are_unsafe(values: list[float]) -> None:
         rows.to_contract(np.array([[0.0, 0, 0, *values]]), _seen())
 
 
-def test_deltas_of_the_tcp_come_back() -> None:
-    rows = _rows(profile="libero")
-    assert rows.space is EE_DELTA
-    contract = np.array([[0.01, -0.02, 0.03, 0.1, 0.0, -0.2, 0.75]])
-    served = rows.from_contract(contract, _seen())
-    np.testing.assert_allclose(served[0, [0, 3, 6]], [0.2, 0.2, -0.5], atol=ROUNDING)
-    np.testing.assert_allclose(rows.to_contract(served, _seen()), contract, atol=ROUNDING)
+SEVEN = tuple(f"joint{i}" for i in range(1, 8))
+POSTURE = np.linspace(-0.6, 0.6, 7)
+TWELVE = tuple(f"{arm}{i}" for arm in ("left", "right") for i in range(6))
+TERMS: dict[str, tuple[tuple[str, ...], dict[str, list[float]], list[float], list[float]]] = {
+    "libero": (
+        (),
+        {"observation/state": [0.4, 0.1, 0.3, *np.array([1, 1, 0]) * np.pi / 2**0.5, 0.01, -0.01]},
+        [1.0, 0, 0, 0, 0, 0.5, -1.0],
+        [0.05, 0, 0, 0, 0, 0.25, 1.0],
+    ),
+    # 1 is 3 rad/s and the maximum; in DROID 1 is closed
+    "droid": (
+        SEVEN,
+        {"observation/joint_position": [*POSTURE], "observation/gripper_position": [0.75]},
+        [0.1, -0.2, 0, 0, 0, 0, 4.0, 0.25],
+        [0.3, -0.6, 0, 0, 0, 0, 3.0, 0.75],
+    ),
+    "franka": (
+        SEVEN,
+        {"observation/state": [*POSTURE, 0.75]},
+        [*POSTURE, 1.0],
+        [*POSTURE, 0.0],
+    ),
+    "aloha": (
+        TWELVE,
+        {"state": [*range(6), 0.2, *range(6, 12), 0.9]},
+        [*[0.1] * 6, 0.25, *[-0.1] * 6, 1.5],
+        [*[0.1] * 6, 0.25, *[-0.1] * 6, 1.0],
+    ),
+}
+"""By profile: joints, state of a request, a served row, and that row in the contract."""
+
+
+@pytest.mark.parametrize("profile", TERMS)
+def test_a_policy_is_asked_and_answers_in_its_own_terms(profile: str) -> None:
+    joints, state, served, row = TERMS[profile]
+    given = {"joints": joints} if joints else {}
+    layout = layout_of(InterfaceOptions(profile=profile, **given))
+    position = np.arange(12.0) if joints == TWELVE else POSTURE
+    names, grey = joints or SEVEN, np.full((112, 224, 3), 200, dtype=np.uint8)
+    frame = Frame(camera="c", image=grey, stamp_ns=0, frame_id="c")
+    down = Pose(position_m=np.array([0.4, 0.1, 0.3]), quaternion_xyzw=QUARTER[[2, 3, 0, 1]])
+    seen = _seen(
+        frames=dict.fromkeys(("primary", "wrist", "right_wrist"), frame),
+        joints=JointSample(names=names[::-1], position=position[::-1]),
+        ee_pose=down,
+        arms={"left": ArmState(ee_pose=down, gripper_open=0.2)}
+        | {"right": ArmState(ee_pose=down, gripper_open=0.9)},
+    )
+    request = layout.request_of(seen)
+    for key, values in state.items():
+        np.testing.assert_allclose(request[key], values, atol=ROUNDING)
+    images = request["images"] if profile == "aloha" else request
+    image = images[layout.image_keys["primary"].rpartition(".")[2]]
+    upright = image.transpose(1, 2, 0) if profile == "aloha" else image
+    assert (upright.dtype, upright.shape) == (np.uint8, (224, 224, 3))
+    assert (upright[0, 0, 0], upright[112, 112, 0]) == (0, 200), "black bars above and below"
+    rows = layout.rows_of(np.array([served]), seen)
+    np.testing.assert_allclose(rows, [row], atol=ROUNDING)
+
+
+@pytest.mark.parametrize(
+    ("options", "word"),
+    [
+        ({"profile": "libero", "joints": SEVEN}, "'joints' has no effect"),
+        ({"profile": "droid"}, "needs the option 'joints'"),
+        ({"profile": "droid", "joints": SEVEN[:6]}, "names 6 joints, profile 'droid' has 7"),
+        ({"profile": "droid", "joints": (*SEVEN[:6], SEVEN[0])}, "each joint appears once"),
+    ],
+)
+def test_joints_that_do_not_fit_are_refused(options: dict[str, Any], word: str) -> None:
+    with pytest.raises(ConfigurationError, match=word):
+        layout_of(InterfaceOptions(**options))
+
+
+def test_a_missing_camera_or_joint_is_named() -> None:
+    layout = layout_of(InterfaceOptions(profile="franka", joints=SEVEN))
+    with pytest.raises(UngroundedError, match="joint1"):
+        layout.request_of(_seen())
+    measured = JointSample(names=SEVEN, position=POSTURE)
+    with pytest.raises(UngroundedError, match="camera role 'wrist'"):
+        layout.request_of(_seen(joints=measured))
 
 
 def test_a_space_that_does_not_fit_the_robot_names_its_joints() -> None:

@@ -84,18 +84,19 @@ class Broken(Reflex):
         raise KeyError("/secret/path")
 
 
-def test_a_fault_of_the_backend_is_logged_and_not_told(caplog: pytest.LogCaptureFixture) -> None:
-    with serving(Broken(), interface=INTERFACE) as url, open_client(url) as connection:
-        assert ask(connection) == "PluginError: see the server's log."
-    assert "/secret/path" in caplog.text
-
-
-def test_a_chunk_of_another_period_than_the_profiles_is_refused(
-    caplog: pytest.LogCaptureFixture,
+@pytest.mark.parametrize(
+    ("wrong", "logged"),
+    [
+        (Broken(), "/secret/path"),
+        (
+            Reflex(ReflexOptions(step_s=0.1)),
+            "rows every 0.1 s, the profile 'libero' has one every 0.05 s",
+        ),
+    ],
+)
+def test_a_fault_of_the_backend_is_logged_and_not_told(
+    wrong: Reflex, logged: str, caplog: pytest.LogCaptureFixture
 ) -> None:
-    with (
-        serving(Reflex(ReflexOptions(step_s=0.1)), interface=INTERFACE) as url,
-        open_client(url) as connection,
-    ):
+    with serving(wrong, interface=INTERFACE) as url, open_client(url) as connection:
         assert ask(connection) == "PluginError: see the server's log."
-    assert "rows every 0.1 s, the profile 'libero' has one every 0.05 s" in caplog.text
+    assert logged in caplog.text

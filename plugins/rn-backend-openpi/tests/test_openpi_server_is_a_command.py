@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-import socket
 import subprocess
 import sys
 import tempfile
+from argparse import Namespace
 from pathlib import Path
 from typing import Any
 
 import pytest
-from openpi_clients import (
-    http_get,
-)
+from openpi_clients import http_get, loaded
 
-from rn_backend_openpi.backend import PolicyBackend
 from rn_backend_openpi.case import REFLEX
-from rn_backend_openpi.command import served_options
 from rn_backend_openpi.interface import served_layout
 from rn_backend_openpi.interface_options import InterfaceOptions
 from rn_backend_openpi.options import PolicyOptions
+from rn_backend_openpi.serve_command import served_options
 from rn_testing.fakes.site import PluginSite
 from roboneuron import EE_DELTA
 from roboneuron.config import parse_config
@@ -44,17 +41,10 @@ class Still:
     def close(self):
         print("closed", flush=True)
 
-class Batched(Still):
-    def predict_batch(self, observations):
-        return [self.predict(observation) for observation in observations]
-
 @hookimpl
 def roboneuron_backends():
-    common = {"summary": "Does not move.", "needs_state": True}
-    return [
-        BackendSpec(name="still", target=__name__ + ":Still", **common),
-        BackendSpec(name="still-many", target=__name__ + ":Batched", **common),
-    ]
+    return [BackendSpec(name="still", target=__name__ + ":Still", summary="Does not move.",
+                        needs_state=True)]
 """
 CONFIG = """
 [robot]
@@ -81,32 +71,21 @@ def _text(backend: str, openpi: str = "", server: str = "") -> str:
     return CONFIG.format(inference=inference, openpi=openpi, server=server)
 
 
-def _environment(site: Path, folder: Path) -> dict[str, str]:
-    run = Path(tempfile.mkdtemp(prefix="rn-"))  # a socket's path must be short
-    (folder / "run").symlink_to(run)
-    return {
-        "PYTHONPATH": str(site),
-        "PATH": "/usr/bin:/bin",
-        "HOME": str(folder),
-        "XDG_RUNTIME_DIR": str(run),
-    }
-
-
 @pytest.mark.parametrize(
     ("text", "word"),
     [
-        (_text(""), "has no \\[inference\\]"),
+        (_text(""), "names no backend"),
         (_text("openpi"), "is itself a client of a server"),
         (_text("mars"), "There is no backend 'mars'"),
-        (_text("still-many", server="clients = 0"), "robots"),
-        (_text("still-many", server="surplus = 1"), "surplus"),
+        (_text("still", server="clients = 0"), "robots"),
+        (_text("still", server="surplus = 1"), "surplus"),
     ],
 )
 def test_what_cannot_be_served_is_refused_by_name(site: Path, text: str, word: str) -> None:
     registry = discover()
     config = parse_config(text, registry=registry)
     with pytest.raises(ConfigurationError, match=word):
-        served_options(config, registry, config.options("openpi"), {})
+        served_options(config, registry, Namespace(host=None, port=None))
 
 
 @pytest.mark.parametrize(
@@ -133,12 +112,15 @@ def test_an_interface_that_does_not_fit_the_backend_is_refused(
 def test_the_command_serves_until_it_is_told_to_end(site: Path, tmp_path: Path) -> None:
     config = tmp_path / "gpu.toml"
     config.write_text(_text("still", server="stateless = true\nport = 0"))
+    run = Path(tempfile.mkdtemp(prefix="rn-"))  # a socket's path must be short
+    (tmp_path / "run").symlink_to(run)
+    own = {"PYTHONPATH": str(site), "HOME": str(tmp_path), "XDG_RUNTIME_DIR": str(run)}
     process = subprocess.Popen(
         [sys.executable, "-m", "roboneuron.cli.main", "openpi-server", "--config", str(config)],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-        env=_environment(site, tmp_path),
+        env={"PATH": "/usr/bin:/bin", **own},
     )
     assert process.stdout is not None
     try:
@@ -146,9 +128,8 @@ def test_the_command_serves_until_it_is_told_to_end(site: Path, tmp_path: Path) 
         assert line.endswith("(backend still)")
         url = line.split()[2]
         assert http_get(url, "/healthz") == (200, b"OK\n")
-        backend = PolicyBackend(PolicyOptions(url=url))
-        backend.load()
-        backend.close()
+        with loaded(PolicyOptions(url=url)):
+            pass
         process.terminate()
         _, err = process.communicate(timeout=30.0)
         assert process.returncode == 0, err
@@ -157,23 +138,3 @@ def test_the_command_serves_until_it_is_told_to_end(site: Path, tmp_path: Path) 
         assert {"loaded", "closed"} <= set(said)
     finally:
         process.kill()
-
-
-def test_a_port_that_is_taken_is_said(site: Path, tmp_path: Path) -> None:
-    config = tmp_path / "gpu.toml"
-    config.write_text(_text("still-many"))
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = taken.getsockname()[1]
-        done = subprocess.run(
-            [
-                *(sys.executable, "-m", "roboneuron.cli.main", "openpi-server"),
-                *("--config", str(config), "--port", str(port)),
-            ],
-            capture_output=True,
-            text=True,
-            timeout=60,
-            check=False,
-            env=_environment(site, tmp_path),
-        )
-    assert done.returncode == 2
-    assert f"cannot listen on 127.0.0.1:{port}" in done.stderr

@@ -26,7 +26,7 @@ from openpi_clients import (
 from openpi_format import encode
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.frames import Frame, Opcode
-from websockets.sync.client import connect
+from websockets.sync.client import ClientConnection, connect
 
 from rn_backend_openpi.case import Reflex, serving
 from rn_testing.waiting import is_closed
@@ -90,11 +90,42 @@ def test_garbage_ends_its_own_connection_and_no_other(request_: Any, word: str) 
             assert re.search(word, told), told
             assert "Traceback" not in told
             assert "\n" not in told
-            with pytest.raises(ConnectionClosed) as caught:
-                bad.recv(timeout=SLACK_S)
-            assert caught.value.rcvd is not None
-            assert caught.value.rcvd.code == 1011
+            _is_over(bad, 1011)
         np.testing.assert_array_equal(ask(good)["actions"], before)
+
+
+def _is_over(bad: ClientConnection, code: int) -> str:
+    """The reason with which a server has closed a connection."""
+    with pytest.raises(ConnectionClosed) as caught:
+        bad.recv(timeout=SLACK_S)
+    assert caught.value.rcvd is not None
+    assert caught.value.rcvd.code == code
+    return caught.value.rcvd.reason
+
+
+def test_numbered_nonsense_ends_its_own_connection_and_numbers_are_drawn_for_each() -> None:
+    numbers = set()
+    with serving(Reflex()) as url, open_client(url) as good:
+        for own, word in (
+            ({"number": 0, "clock_ns": 0}, "was replayed"),
+            ({"number": 2, "clock_ns": 0, "left_s": 5.0}, "was replayed"),
+            ({"number": 1}, "'clock_ns' is missing"),
+            ({"number": 1, "clock_ns": 0, "robot": 7}, "ForeignDataError"),
+        ):
+            with open_client(url) as bad:
+                before = bad.metadata["roboneuron"]["number"]
+                numbers.add(before)
+                told = ask(bad, {"roboneuron": {**own, "number": before + own["number"]}})
+                assert word in told
+                assert "see the text" in _is_over(bad, 1011)
+        with open_client(url) as bad:  # what it says of the observation, then a repetition
+            first = {"number": bad.metadata["roboneuron"]["number"] + 1, "clock_ns": 0}
+            request = {"roboneuron": {**first, "left_s": 5.0}}
+            answer = ask(bad, request)["roboneuron"]
+            assert (answer["number"], answer["error"]) == (first["number"], "invalid_input")
+            assert "was replayed" in ask(bad, request)
+        assert ask(good, PLAIN)["actions"].shape == (4, 7)
+    assert len(numbers) == 4
 
 
 @pytest.mark.parametrize(
@@ -123,10 +154,7 @@ def test_a_frame_that_is_too_large_is_not_read(monkeypatch: pytest.MonkeyPatch) 
         with open_client(url) as bad:
             with suppress(ConnectionClosed):
                 bad.send(b"x" * 2**21)
-            with pytest.raises(ConnectionClosed) as caught:
-                bad.recv(timeout=SLACK_S)
-        assert caught.value.rcvd is not None
-        assert caught.value.rcvd.code == 1009
+            _is_over(bad, 1009)
         assert ask(good)["actions"].shape == (4, 7)
 
 
@@ -222,7 +250,4 @@ def test_a_client_that_does_not_read_is_dropped(caplog: pytest.LogCaptureFixture
 def test_a_client_that_asks_nothing_for_long_is_let_go(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("rn_backend_openpi.conversation.IDLE_S", 0.3)
     with served() as url, open_client(url) as idle:
-        with pytest.raises(ConnectionClosed) as caught:
-            idle.recv(timeout=SLACK_S)
-        assert caught.value.rcvd is not None
-        assert (caught.value.rcvd.code, caught.value.rcvd.reason) == (1001, "idle")
+        assert _is_over(idle, 1001) == "idle"

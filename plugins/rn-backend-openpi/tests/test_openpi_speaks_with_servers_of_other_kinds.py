@@ -7,16 +7,14 @@ WebSocket API". Two are written byte by byte, so that the packer is not only tes
 
 from __future__ import annotations
 
-import threading
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-import msgpack
 import numpy as np
 import pytest
-from websockets.sync.client import connect
+from foreign_engines import ScriptedServer
+from openpi_clients import loaded, open_client
 
 from rn_backend_openpi.backend import PolicyBackend
 from rn_backend_openpi.case import REFLEX, Reflex, ReflexOptions, serving
@@ -25,11 +23,8 @@ from rn_backend_openpi.interface import layout_of
 from rn_backend_openpi.interface_options import InterfaceOptions
 from rn_backend_openpi.options import PolicyOptions
 from roboneuron import (
-    Channel,
     ConfigurationError,
-    ControlSpace,
     JointSample,
-    NotReadyError,
     Observation,
     UngroundedError,
 )
@@ -67,140 +62,113 @@ ARRAY = bytes.fromhex(
 """A reply that is an array instead of a map."""
 
 
-def _backend(server: Any, **options: Any) -> PolicyBackend:
+def _options(server: ScriptedServer, **options: Any) -> PolicyOptions:
     given = {"start_timeout_s": 5.0, "timeout_s": 5.0, **ARENA_OPTIONS, **options}
-    backend = PolicyBackend(PolicyOptions(url=server.url, **given))
-    backend.load()
-    return backend
+    return PolicyOptions(url=server.url, **given)
 
 
-def _seen(observe: Observe) -> Observation:
-    return replace(observe(), joints=JointSample(names=ARM, position=np.zeros(7)))
+def _refused(server: ScriptedServer, word: str, **options: Any) -> None:
+    with pytest.raises(ConfigurationError, match=word):
+        PolicyBackend(_options(server, **options)).load()
 
 
-def _rows(width: int = 8) -> Callable[[dict[Any, Any]], dict[str, Any]]:
-    return lambda request: {"actions": np.zeros((4, width), dtype=np.float32)}
+def _seen(observe: Observe, *roles: str) -> Observation:
+    made = replace(observe(), joints=JointSample(names=ARM, position=np.zeros(7)))
+    return replace(made, frames=dict.fromkeys(("primary", *roles), made.frames["primary"]))
+
+
+def _rows(request: dict[Any, Any]) -> Any:
+    if request.get("endpoint") == "reset":
+        return "reset successful"
+    return {"actions": np.full((4, 8), 0.5, dtype=np.float32)}
+
+
+@pytest.fixture
+def arena(policy_server: ScriptedServer) -> ScriptedServer:
+    """A server with episodes."""
+    policy_server.told, policy_server.reply = ARENA, _rows
+    return policy_server
 
 
 def test_a_server_with_episodes_gets_endpoint_and_session(
-    policy_server: Any, observe: Observe
+    arena: ScriptedServer, observe: Observe
 ) -> None:
-    def answer(request: dict[Any, Any]) -> Any:
-        if request["endpoint"] == "reset":
-            return "reset successful"
-        return {"actions": np.full((24, 8), 0.5, dtype=np.float32)}
-
-    policy_server.metadata, policy_server.answer = ARENA, answer
-    backend = _backend(policy_server)
-    chunk = backend.predict(_seen(observe))
-    np.testing.assert_allclose(chunk.actions[0], [0.5] * 8)
-    assert chunk.space.label.startswith("joint_position@15:joint1,")
-    first = policy_server.requests[-1]
-    assert first["observation/exterior_image_0_left"].shape == (180, 320, 3)
-    assert first["observation/cartesian_position"].shape == (6,)
-    backend.reset()
-    backend.predict(_seen(observe))
-    begun, second = list(policy_server.requests)[-2:]
+    with loaded(_options(arena)) as backend:
+        chunk = backend.predict(_seen(observe))
+        np.testing.assert_allclose(chunk.actions[0], [0.5] * 8)
+        assert chunk.space.label.startswith("joint_position@15:joint1,")
+        first = arena.requests[-1]
+        assert first["observation/exterior_image_0_left"].shape == (180, 320, 3)
+        assert first["observation/cartesian_position"].shape == (6,)
+        backend.reset()
+        backend.predict(_seen(observe))
+    begun, second = list(arena.requests)[-2:]
     assert (first["endpoint"], begun["endpoint"], second["endpoint"]) == ("infer", "reset", "infer")
     assert first["session_id"] != begun["session_id"] == second["session_id"]
-    backend.close()
 
 
 def test_an_array_alone_and_a_map_of_arrays_are_answers(
-    policy_server: Any, observe: Observe
+    policy_server: ScriptedServer, observe: Observe
 ) -> None:
-    policy_server.metadata, policy_server.answer = METADATA, lambda request: ARRAY
-    backend = _backend(policy_server)
-    assert policy_server.requests[-1]["endpoint"] == "infer"
-    np.testing.assert_array_equal(backend.predict(_seen(observe)).actions, [[1.0] * 7 + [0.0]])
-    backend.close()
     # vLLM-Omni with GR00T: arrays by key, with the axis of a batch
-    policy_server.answer = lambda request: {
+    parts = {
         "gripper_position": np.full((1, 3, 1), 0.25, np.float32),
         "joint_position": np.full((1, 3, 7), 0.5, np.float32),
         "eef_9d": np.zeros((1, 3, 9), np.float32),
     }
     keys = ("joint_position", "gripper_position")
-    backend = _backend(policy_server, action_keys=keys)
-    np.testing.assert_array_equal(backend.predict(_seen(observe)).actions, [[0.5] * 7 + [0.75]] * 3)
-    backend.close()
-    with pytest.raises(ConfigurationError, match="no array 'actions'"):
-        _backend(policy_server)
-    with pytest.raises(ConfigurationError, match=r"expected .* 8"):
-        _backend(policy_server, action_keys=("eef_9d",))
-    policy_server.answer = lambda request: {
-        "joint_position": np.zeros((2, 7)),
-        "gripper_position": np.zeros((3, 1)),
-    }
-    with pytest.raises(ConfigurationError, match="do not fit together"):
-        _backend(policy_server, action_keys=keys)
+    policy_server.told = METADATA
+    for reply, options, rows in (
+        (ARRAY, {}, [[1.0] * 7 + [0.0]]),
+        (parts, {"action_keys": keys}, [[0.5] * 7 + [0.75]] * 3),
+    ):
+        policy_server.reply = lambda request, reply=reply: reply  # type: ignore[misc]
+        with loaded(_options(policy_server, **options)) as backend:
+            np.testing.assert_array_equal(backend.predict(_seen(observe)).actions, rows)
+        assert policy_server.requests[-1]["endpoint"] == "infer"
+    _refused(policy_server, "no array 'actions'")
+    _refused(policy_server, r"expected .* 8", action_keys=("eef_9d",))
+    parts["gripper_position"] = np.zeros((4, 1))
+    _refused(policy_server, "do not fit together", action_keys=keys)
 
 
-def test_a_map_that_says_error_is_a_failure_of_the_server(
-    policy_server: Any, observe: Observe
+@pytest.mark.parametrize(("external", "wrist"), [(1, False), (2, True)])
+def test_the_server_decides_which_cameras_are_sent(
+    arena: ScriptedServer, observe: Observe, external: int, wrist: bool
 ) -> None:
-    policy_server.metadata, policy_server.answer = ARENA, _rows()
-    backend = _backend(policy_server)
-    policy_server.answer = lambda request: {"type": "error", "message": "Internal inference error"}
-    with pytest.raises(NotReadyError, match="Internal inference error"):
-        backend.predict(_seen(observe))
-    backend.close()
-
-
-def test_the_server_decides_which_cameras_are_sent(policy_server: Any, observe: Observe) -> None:
-    policy_server.metadata, policy_server.answer = ARENA, _rows()
-    arena = {"profile": "roboarena", "image_keys": None}
-    images = "observation/exterior_image_0_left", "observation/exterior_image_1_left"
-    wrist = "observation/wrist_image_left"
-    backend = _backend(policy_server, **arena)
-    backend.predict(_seen(observe))
-    assert policy_server.requests[-1].keys() & {*images, wrist} == {images[0]}
-    backend.close()
-    policy_server.metadata = {**ARENA, "n_external_cameras": 2, "needs_wrist_camera": True}
-    backend = _backend(policy_server, **arena)
-    seen = _seen(observe)
-    frames = dict.fromkeys(("primary", "secondary", "wrist"), seen.frames["primary"])
-    backend.predict(replace(seen, frames=frames))
-    assert policy_server.requests[-1].keys() & {*images, wrist} == {*images, wrist}
-    del frames["secondary"]
-    with pytest.raises(UngroundedError, match="camera role 'secondary'"):
-        backend.predict(replace(seen, frames=frames))
-    backend.close()
+    arena.told = {**ARENA, "n_external_cameras": external, "needs_wrist_camera": wrist}
+    images = ["observation/exterior_image_0_left", "observation/exterior_image_1_left"][:external]
+    images += ["observation/wrist_image_left"] * wrist
+    with loaded(_options(arena, image_keys=None)) as backend:
+        backend.predict(_seen(observe, "secondary", "wrist"))
+        sent = {key for key in arena.requests[-1] if "image" in key}
+        assert sent == set(images)
+        if wrist:
+            with pytest.raises(UngroundedError, match="camera role 'secondary'"):
+                backend.predict(_seen(observe, "wrist"))
 
 
 def test_our_server_speaks_roboarenas_dialect(observe: Observe) -> None:
-    channels = [Channel(name=name, unit="rad") for name in ARM]
-    channels.append(Channel(name="gripper_open", unit="opening"))
-    space = ControlSpace(kind="joint_position", channels=tuple(channels), rate_hz=15.0)
     given = {"profile": "roboarena", "joints": ARM}
+    space = layout_of(InterfaceOptions(**given)).rows.space
     model = Reflex(ReflexOptions(step_s=1 / 15), space=space)
     spec = replace(REFLEX, optional_cameras=("wrist", "secondary"))
     with serving(model, spec, interface={"dialect": "roboarena", **given}, space=space) as url:
-        with connect(url, compression=None, proxy=None) as plain:
-            told = msgpack.unpackb(plain.recv(timeout=10.0))
-        assert told == {
-            "image_resolution": [224, 224],
-            "needs_wrist_camera": True,
-            "n_external_cameras": 2,
-            "needs_stereo_camera": False,
-            "needs_session_id": False,
-            "action_space": "joint_position",
-        }
-        backend = PolicyBackend(PolicyOptions(url=url, **given))
-        backend.load()
-        seen = _seen(observe)
-        frames = dict.fromkeys(("primary", "secondary", "wrist"), seen.frames["primary"])
-        backend.reset()
-        assert backend.predict(replace(seen, frames=frames)).actions.shape == (4, 8)
-        backend.close()
+        with open_client(url) as plain:
+            assert plain.metadata == {
+                "image_resolution": [224, 224],
+                "needs_wrist_camera": True,
+                "n_external_cameras": 2,
+                "needs_stereo_camera": False,
+                "needs_session_id": False,
+                "action_space": "joint_position",
+            }
+        with loaded(PolicyOptions(url=url, **given)) as backend:
+            backend.reset()
+            seen = _seen(observe, "secondary", "wrist")
+            assert backend.predict(seen).actions.shape == (4, 8)
     with pytest.raises(ConfigurationError, match="no name for the action space 'joint_delta'"):
         describe_arena(layout_of(InterfaceOptions(**OWN)))
-
-
-def test_a_server_without_a_policy_is_shown_in_its_own_words(policy_server: Any) -> None:
-    policy_server.metadata = '{"type":"error","error":"Robot policy not available"}'
-    with pytest.raises(NotReadyError, match="Robot policy not available"):
-        _backend(policy_server)
 
 
 @pytest.mark.parametrize(
@@ -216,19 +184,17 @@ def test_a_server_without_a_policy_is_shown_in_its_own_words(policy_server: Any)
     ],
 )
 def test_metadata_that_disagree_are_refused_by_name(
-    policy_server: Any, change: dict[str, Any], word: str
+    arena: ScriptedServer, change: dict[str, Any], word: str
 ) -> None:
-    policy_server.metadata, policy_server.answer = {**ARENA, **change}, _rows()
-    with pytest.raises(ConfigurationError, match=word):
-        _backend(policy_server)
-    assert not policy_server.requests
+    arena.told = {**ARENA, **change}
+    _refused(arena, word)
+    assert not arena.requests
 
 
-def test_a_size_that_the_server_does_not_take_is_refused(policy_server: Any) -> None:
-    policy_server.metadata, policy_server.answer = ARENA, _rows()
-    with pytest.raises(ConfigurationError, match=r"180 x 320 .* says 224 x 224"):
-        _backend(policy_server, image_size_px=(224, 224))
-    _backend(policy_server, image_size_px=(180, 320)).close()
+def test_a_size_that_the_server_does_not_take_is_refused(arena: ScriptedServer) -> None:
+    _refused(arena, r"180 x 320 .* says 224 x 224", image_size_px=(224, 224))
+    with loaded(_options(arena, image_size_px=(180, 320))):
+        assert arena.requests
 
 
 OWN = {
@@ -254,7 +220,7 @@ OWN = {
     ],
 )
 def test_a_roboneuron_server_with_another_interface_is_refused_by_name(
-    policy_server: Any, theirs: dict[str, Any] | None, word: str
+    policy_server: ScriptedServer, theirs: dict[str, Any] | None, word: str
 ) -> None:
     own: dict[str, Any] = {"protocol": PROTOCOL, "state": READY, "pid": 1}
     if theirs is not None:
@@ -262,44 +228,12 @@ def test_a_roboneuron_server_with_another_interface_is_refused_by_name(
         if "profile" in theirs:
             del options["action"], options["state_keys"]
         own["interface"] = facts_of(layout_of(InterfaceOptions(**options)))
-    policy_server.metadata, policy_server.answer = {"roboneuron": own}, _rows()
-    with pytest.raises(ConfigurationError, match=word):
-        _backend(policy_server, **OWN)
+    policy_server.told = {"roboneuron": own}
+    _refused(policy_server, word, **OWN)
     assert not policy_server.requests
 
 
-def test_a_server_without_ours_facts_needs_a_profile(policy_server: Any) -> None:
-    backend = PolicyBackend(PolicyOptions(url=policy_server.url))
+def test_a_server_without_our_facts_needs_a_profile(policy_server: ScriptedServer) -> None:
     with pytest.raises(ConfigurationError) as caught:
-        backend.load()
+        PolicyBackend(PolicyOptions(url=policy_server.url)).load()
     assert "libero" in caught.value.hint
-
-
-def test_a_server_that_sends_no_metadata_is_told_apart(policy_server: Any) -> None:
-    policy_server.metadata = None
-    released = threading.Event()
-    policy_server.greet = lambda connection: released.wait(30.0)
-    start = time.monotonic()
-    with pytest.raises(NotReadyError, match="accepted the connection, but sends no first"):
-        _backend(policy_server, start_timeout_s=0.4)
-    assert time.monotonic() - start < 6.0
-    released.set()
-
-
-def test_metadata_that_come_late_are_waited_for(policy_server: Any, observe: Observe) -> None:
-    policy_server.answer = _rows()
-    policy_server.greet = lambda connection: policy_server.released.wait(0.5)
-    backend = _backend(policy_server)
-    assert backend.predict(_seen(observe)).metrics["connections"] == 1
-    backend.close()
-
-
-def test_a_connection_that_an_idle_server_closed_costs_no_prediction(
-    policy_server: Any, observe: Observe
-) -> None:
-    policy_server.answer = _rows()
-    backend = _backend(policy_server)
-    policy_server.connection.close(code=1001, reason="idle")
-    policy_server.connection.recv_events_thread.join(5.0)
-    assert backend.predict(_seen(observe)).metrics["connections"] == 2
-    backend.close()

@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import socket
 import time
-import urllib.request
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
 
 import pytest
-from openpi_clients import SLACK_S, ask, open_client
+from openpi_clients import SLACK_S, ask, http_get, open_client
 from policy_servers import RunningServer, robot_of
 from prometheus_client.parser import text_string_to_metric_families
 from websockets.exceptions import ConnectionClosed
 
-from rn_backend_openpi.metrics import MetricsEndpoint
+from rn_backend_openpi.front import PolicyServer
+from rn_backend_openpi.listener import HANDSHAKE_S
 from rn_backend_openpi.plugin import SHARED
 from rn_backend_openpi.security import authorization
+from rn_backend_openpi.server_options import PolicyServerOptions
 from rn_backend_openpi.statistics import BOUNDS_S, Times
 from rn_testing.fakes.backend import make_observation
 from rn_testing.waiting import wait_until
@@ -23,6 +27,7 @@ from roboneuron import ConfigurationError
 
 pytestmark = pytest.mark.timeout(200)
 SEEN = make_observation(SHARED)
+MODELS = {"only": {"backend": "reflex"}}
 Numbers = dict[tuple[str, frozenset[tuple[str, str]]], float]
 
 
@@ -38,12 +43,10 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningServer]:
 
 
 def read(server: RunningServer) -> Numbers:
-    port = server.status()["metrics_port"]
-    with urllib.request.urlopen(f"http://127.0.0.1:{port}/metrics", timeout=20.0) as answer:
-        said = answer.read().decode()
+    _, said = http_get(f"ws://127.0.0.1:{server.status()['metrics_port']}", "/metrics")
     return {
         (sample.name, frozenset(sample.labels.items())): sample.value
-        for family in text_string_to_metric_families(said)
+        for family in text_string_to_metric_families(said.decode())
         for sample in family.samples
     }
 
@@ -106,15 +109,77 @@ def test_who_connects_adds_no_labels(server: RunningServer) -> None:
     assert read(server).keys() == before.keys()
 
 
-@pytest.mark.exhaustive
-def test_one_that_says_nothing_does_not_keep_others_waiting_for_long(
-    server: RunningServer,
+def has_ipv6() -> bool:
+    try:
+        socket.create_server(("::1", 0), family=socket.AF_INET6).close()
+    except OSError:
+        return False
+    return True
+
+
+@pytest.mark.skipif(not has_ipv6(), reason="this machine has no address of IPv6")
+@pytest.mark.parametrize(
+    ("host", "reached"),
+    [
+        ("127.0.0.1", ["127.0.0.1"]),
+        ("::1", ["[::1]"]),
+        ("localhost", ["127.0.0.1"]),
+        ("gpu.lab", ["127.0.0.1", "[::1]"]),
+        ("0.0.0.0", ["127.0.0.1"]),
+        ("::", ["127.0.0.1", "[::1]"]),
+    ],
+)
+def test_both_addresses_may_be_of_either_family_or_a_name(
+    front: Callable[..., PolicyServer],
+    monkeypatch: pytest.MonkeyPatch,
+    host: str,
+    reached: list[str],
 ) -> None:
-    port = server.status()["metrics_port"]
-    with socket.create_connection(("127.0.0.1", port), 20.0):
+    resolve = socket.getaddrinfo
+
+    def resolved(name: str, *rest: Any, **named: Any) -> Any:
+        if name != "gpu.lab":
+            return resolve(name, *rest, **named)
+        # of a name with an address that this machine has not
+        addresses = ("192.0.2.1", "::1", "127.0.0.1")
+        return [found for one in addresses for found in resolve(one, *rest, **named)]
+
+    monkeypatch.setattr(socket, "getaddrinfo", resolved)
+    server = front(host=host, insecure=True, metrics_host=host, metrics_port=0)
+    for one in reached:
+        assert http_get(f"ws://{one}:{server.port}", "/healthz")[0] == 503
+        assert http_get(f"ws://{one}:{server.metrics_port}", "/metrics?x=1")[0] == 200
+    robots, _, port = server.status()["address"].rpartition(":")
+    assert (robots.strip("[]"), int(port)) == (host, server.port)
+
+
+def test_silent_clients_keep_no_scrape_waiting(front: Callable[..., PolicyServer]) -> None:
+    url = f"ws://127.0.0.1:{front(metrics_port=0).metrics_port}"
+    with ExitStack() as opened:
+        for _ in range(20):
+            place = ("127.0.0.1", int(url.rpartition(":")[2]))
+            silent = opened.enter_context(socket.create_connection(place, 20.0))
+            silent.send(b"GET /me")
         begun_s = time.monotonic()
-        assert read(server)
-        assert time.monotonic() - begun_s < 15.0
+        status, text = http_get(url, "/metrics")
+        assert time.monotonic() - begun_s < HANDSHAKE_S, "none of them was waited for"
+    assert status == 200
+    assert b"roboneuron_policy_robots 0.0" in text
+    assert http_get(url, "/status")[0] == 404
+
+
+@pytest.mark.parametrize(("host", "port"), [("host", "port"), ("metrics_host", "metrics_port")])
+def test_an_address_that_cannot_be_used_is_one_clear_error(
+    tmp_path: Path, host: str, port: str
+) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        for where, number in (("127.0.0.1", taken.getsockname()[1]), ("no.such.host.invalid", 0)):
+            listen = {"port": 0, "keys": "none", "insecure": True, host: where, port: number}
+            tables = {"listen": listen, "models": MODELS}
+            server = PolicyServer(PolicyServerOptions.model_validate(tables), tmp_path, "front")
+            with pytest.raises(ConfigurationError, match="cannot listen on") as caught:
+                server.run()
+            assert f"{port} in [listen]" in caught.value.hint
 
 
 def test_times_are_counted_up_to_their_bound() -> None:
@@ -123,11 +188,3 @@ def test_times_are_counted_up_to_their_bound() -> None:
         times.note(took_s)
     counts = times.document()["counts"]
     assert (counts[0], counts[1], counts[-1], sum(counts)) == (2, 1, 1, 4)
-
-
-def test_an_address_in_use_is_one_clear_error() -> None:
-    with (
-        socket.create_server(("127.0.0.1", 0)) as taken,
-        pytest.raises(ConfigurationError, match="metrics_port"),
-    ):
-        MetricsEndpoint("127.0.0.1", taken.getsockname()[1], dict)

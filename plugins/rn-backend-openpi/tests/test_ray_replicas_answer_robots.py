@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import pytest
 from openpi_clients import http_get
-from policy_servers import SEEN, RunningServer, robot_of, seen
+from policy_servers import SEEN, RunningServer, ahead_of, robot_of, seen
 
 from rn_backend_openpi.backend import PolicyBackend
 from rn_backend_openpi.case import Reflex, ReflexOptions
@@ -28,7 +28,7 @@ from rn_backend_openpi.ray_engine import RayModel, ray_models
 from rn_backend_openpi.serve_command import name_of
 from rn_backend_openpi.server_options import RayOptions, ReplicaOptions, ServedModelOptions
 from rn_testing.waiting import wait_until
-from roboneuron import Ahead, ConfigurationError, MissingDependencyError, NotReadyError
+from roboneuron import ConfigurationError, MissingDependencyError, NotReadyError
 from roboneuron.command import discover
 
 ROBOTS = 16
@@ -102,14 +102,7 @@ def test_a_robot_keeps_the_replica_that_holds_its_context(robots: list[PolicyBac
     for one in robots[:6]:
         first = one.predict(SEEN)
         for _ in range(4):
-            ahead = Ahead(
-                rows=first.actions[1:],
-                committed_rows=3,
-                step_s=0.1,
-                context=first.context,
-                context_row=1,
-            )
-            told = one.predict(_with(ahead))
+            told = one.predict(replace(SEEN, instruction="x", ahead=ahead_of(first)))
             assert told.conditioned_rows == 3
             assert told.metrics["continues"] > 0.0
 
@@ -215,7 +208,3 @@ def test_what_replicas_cannot_have_is_refused() -> None:
 
 def _running(server: RunningServer) -> int:
     return int(server.status()["models"]["only"]["replicas"].get("RUNNING", 0))
-
-
-def _with(ahead: Ahead) -> Any:
-    return replace(SEEN, instruction="x", ahead=ahead)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import subprocess
 import sys
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -14,23 +14,21 @@ from typing import Any
 
 import numpy as np
 import pytest
-from policy_servers import (
-    SEEN,
-    Robot,
-    answers,
-    seen,
-    servers_in,
-)
+from policy_servers import SEEN, Robot, ahead_of, answers, seen, servers_in, toml_of
 
-from rn_backend_openpi.case import Reflex, ReflexOptions, options_in
+from rn_backend_openpi.case import Reflex, install, options_in
 from rn_backend_openpi.client import PolicyClient
-from rn_backend_openpi.links import directory_of
+from rn_backend_openpi.links import socket_of
 from rn_backend_openpi.messages import RESERVED, Document
+from rn_backend_openpi.model import SharedModel
 from rn_backend_openpi.options import PolicyOptions
 from rn_testing.waiting import wait_until
 from roboneuron import (
+    ActionChunk,
+    Ahead,
     ConfigurationError,
     InvalidInputError,
+    Observation,
     RoboNeuronError,
 )
 
@@ -41,7 +39,9 @@ def test_robots_that_ask_at_once_share_one_batch_and_get_their_own_answer(
     served: Robot,
 ) -> None:
     robots = [served(options={"took_s": 0.05}, linger_s=0.1) for _ in range(6)]
-    alone = [robots[0].predict(seen(index)).actions for index in range(6)]
+    here, alone = Reflex(), [robots[0].predict(seen(index)).actions for index in range(6)]
+    for index in range(6):
+        assert alone[index].tobytes() == here.predict(seen(index)).actions.tobytes()
     with ThreadPoolExecutor(6) as pool:
         for _ in range(20):
             together = list(pool.map(lambda index: robots[index].predict(seen(index)), range(6)))
@@ -78,29 +78,6 @@ def test_what_may_remember_robots_is_not_shared_unless_a_person_says_that_it_doe
     assert served(backend="rememberer", stateless=True).predict(SEEN).metrics["shared.batch"] == 1.0
 
 
-def test_raw_answers_equal_those_of_the_same_backend_here_bit_for_bit(
-    served: Robot, tmp_path: Path
-) -> None:
-    robot = served(options={"rows": 6})
-    alone = Reflex(ReflexOptions(rows=6))
-    alone.load()
-    drawn = np.random.default_rng(0)
-    assert SEEN.joints is not None
-    assert SEEN.ee_pose is not None
-    for index in range(20):
-        image = drawn.integers(0, 256, (48, 64, 3), dtype=np.uint8)
-        observation = replace(
-            SEEN,
-            frames={"primary": replace(SEEN.frames["primary"], image=image)},
-            joints=replace(SEEN.joints, position=drawn.normal(size=len(SEEN.joints.names))),
-            ee_pose=replace(SEEN.ee_pose, position_m=drawn.normal(size=3)),
-            gripper_open=float(drawn.random()),
-        )
-        here, there = alone.predict(observation), robot.predict(observation)
-        assert here.actions.tobytes() == there.actions.tobytes(), index
-        assert (here.step_s, here.space, here.note) == (there.step_s, there.space, there.note)
-
-
 def test_images_that_the_model_does_not_use_are_not_sent(
     served: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -126,44 +103,33 @@ def test_the_round_trip_is_split_up_by_one_clock(served: Robot) -> None:
     assert sum(parts) == pytest.approx(metrics["shared.round_trip_ms"])
 
 
-def test_sockets_lie_where_only_this_user_can_reach_them(
+def test_sockets_lie_where_only_this_user_can_reach_them_one_for_each_model(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    def path_of(**changes: object) -> Path:
+        given = {"backend": "oft", "checkpoint": "/models/a", **changes}
+        return socket_of(PolicyOptions.model_validate(given))
+
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    options = PolicyOptions(backend="reflex")
-    folder = directory_of(options)
-    assert folder == tmp_path / "roboneuron"
-    assert folder.stat().st_mode & 0o777 == 0o700
-    folder.chmod(0o755)
-    with pytest.raises(ConfigurationError, match="mode 700"):
-        directory_of(options)
-
-
-def test_robots_with_other_model_options_use_another_server() -> None:
-    base = PolicyOptions(backend="oft", checkpoint="/models/a")
-    assert (
-        base.identity()
-        == PolicyOptions(backend="oft", checkpoint="/models/a", timeout_s=0.2).identity()
-    )
+    path = path_of()
+    assert path.parent == tmp_path / "roboneuron"
+    assert path.parent.stat().st_mode & 0o777 == 0o700
+    assert path_of(timeout_s=0.2) == path
     for other in ({"checkpoint": "/models/b"}, {"options": {"profile": "libero"}}, {"most": 4}):
-        assert base.identity() != base.model_copy(update=other).identity()
+        assert path_of(**other) != path
+    path.parent.chmod(0o755)
+    with pytest.raises(ConfigurationError, match="mode 700"):
+        path_of()
 
 
 def test_the_command_serves_robots_of_the_same_configuration_until_it_is_ended(
     spawned: Robot, tmp_path: Path
 ) -> None:
     given = options_in(tmp_path, idle_s=30.0)
-    environment = given["environment"]
-    assert isinstance(environment, dict)
-    lines = [f"{key} = {json.dumps(value)}" for key, value in given.items() if key != "environment"]
-    lines += [
-        "[plugins.shared.environment]",
-        *(f"{key} = {json.dumps(value)}" for key, value in environment.items()),
-    ]
     path = tmp_path / "roboneuron.toml"
-    path.write_text('[robot]\nname = "any"\n[plugins.shared]\n' + "\n".join(lines))
+    path.write_text(f'[robot]\nname = "any"\n[plugins]\nshared = {toml_of(given)}\n')
     words = [sys.executable, "-m", "roboneuron.cli.main", "shared-model", "--config", str(path)]
-    process = subprocess.Popen(words, env={**os.environ, **environment})
+    process = subprocess.Popen(words, env={**os.environ, **given["environment"]})
     try:
         wait_until(lambda: bool(list((tmp_path / "run").glob("*.sock"))), 90.0, "it listens")
         assert answers(spawned())
@@ -174,3 +140,51 @@ def test_the_command_serves_robots_of_the_same_configuration_until_it_is_ended(
     finally:
         process.kill()
         process.wait()
+
+
+def test_rows_that_are_played_meanwhile_are_continued_with_the_context_that_the_server_holds(
+    served: Robot,
+) -> None:
+    one, other = (served(options={"rows": 6}) for _ in range(2))
+    first = one.predict(SEEN)
+    after = replace(seen(3), ahead=ahead_of(first))
+    told = one.predict(after)
+    assert told.conditioned_rows == 3
+    np.testing.assert_array_equal(told.actions[:3], first.actions[1:4])
+    assert told.metrics["continues"] == 101.0, "the model has got its own context back"
+    # a context of another connection is ignored, even if this one has a context of that number
+    other.predict(SEEN)
+    assert other.predict(after).metrics["continues"] == -1.0
+    # likewise one that is no longer held
+    for _ in range(8):
+        one.predict(SEEN)
+    assert one.predict(after).metrics["continues"] == -1.0
+
+
+@pytest.mark.parametrize("continues", [True, False])
+def test_a_batch_holds_those_whose_rows_do_not_go_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, continues: bool
+) -> None:
+    install(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path / "site"))
+    options = options_in(tmp_path, options={"rows": 6, "continues": continues})
+    model, asked = SharedModel(PolicyOptions.model_validate(options)), list[int]()
+    model.load()
+    many = model._many
+    assert many is not None
+
+    def counted(observations: Sequence[Observation]) -> Any:
+        asked.append(len(observations))
+        return many(observations)
+
+    model._many = counted
+    ahead = Ahead(rows=np.zeros((4, 7)), committed_rows=3, step_s=0.1)
+    given = [seen(0), replace(seen(1), ahead=ahead), seen(2)]
+    told = [chunk for chunk in model.answer(given) if isinstance(chunk, ActionChunk)]
+    assert [chunk.conditioned_rows for chunk in told] == [0, 3 if continues else 0, 0]
+    assert asked == [2 if continues else 3]
+    for chunk, one in zip(told, given, strict=True):
+        (single,) = model.answer([one])
+        assert isinstance(single, ActionChunk)
+        if chunk.conditioned_rows == single.conditioned_rows:
+            np.testing.assert_allclose(chunk.actions, single.actions, rtol=0, atol=1e-5)

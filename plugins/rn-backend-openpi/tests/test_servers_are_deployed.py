@@ -49,9 +49,13 @@ def test_the_unit_runs_this_interpreter_with_that_file(
 
 
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="needs systemd-analyze")
-def test_systemd_accepts_the_unit(tmp_path: Path) -> None:
+@pytest.mark.parametrize("type_", ["notify", "nothing"])
+def test_systemd_accepts_the_unit_and_looks_at_what_is_written_there(
+    tmp_path: Path, type_: str
+) -> None:
     path = tmp_path / "roboneuron-policies.service"
-    path.write_text(deployment_file("unit", tmp_path / "with space and 100%.toml"))
+    unit = deployment_file("unit", tmp_path / "with space and 100%.toml")
+    path.write_text(unit.replace("Type=notify", f"Type={type_}"))
     done = subprocess.run(
         ["systemd-analyze", "verify", "--user", str(path)],
         capture_output=True,
@@ -60,18 +64,8 @@ def test_systemd_accepts_the_unit(tmp_path: Path) -> None:
         check=False,
         env={"PATH": "/usr/bin:/bin", "XDG_RUNTIME_DIR": str(tmp_path), "HOME": str(tmp_path)},
     )
-    assert "roboneuron-policies" not in done.stdout + done.stderr
-    broken = tmp_path / "broken-policies.service"
-    broken.write_text(path.read_text().replace("Type=notify", "Type=nothing"))
-    seen = subprocess.run(
-        ["systemd-analyze", "verify", "--user", str(broken)],
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-        env={"PATH": "/usr/bin:/bin", "XDG_RUNTIME_DIR": str(tmp_path), "HOME": str(tmp_path)},
-    )
-    assert "broken-policies" in seen.stdout + seen.stderr, "it looks at what is written there"
+    is_named = "roboneuron-policies" in done.stdout + done.stderr
+    assert is_named == (type_ == "nothing")
 
 
 @pytest.mark.timeout(200)
@@ -99,26 +93,18 @@ def test_the_container_file_installs_and_runs_what_is_there(
     assert main(["serve-policy", "containerfile"]) == 0
     text = re.sub(r"(?m)^#.*\n", "", capsys.readouterr().out).replace("\\\n", " ")
     steps = [line.partition(" ") for line in text.splitlines() if line]
-    instructions = [step[0] for step in steps]
-    known = {
-        *("FROM", "ARG", "COPY", "RUN", "USER", "ENV", "VOLUME", "EXPOSE", "STOPSIGNAL"),
-        "ENTRYPOINT",
-    }
-    assert set(instructions) <= known
-    assert instructions[0] == "FROM"
+    assert steps[0][0] == "FROM"
     by_name = {name: rest for name, _, rest in steps}
     entry = json.loads(by_name["ENTRYPOINT"])
     assert entry[:2] == ["roboneuron", "serve-policy"]
     assert command_of(entry[2:]) == "/etc/policies.toml"
     assert int(by_name["EXPOSE"]) == ListenOptions().port
     assert by_name["USER"] != "0"
-    check_it_installs(
-        next(rest for name, _, rest in steps if name == "RUN" and "pip" in rest), tmp_path
+    # its script with a pip that prints its arguments, and wheels with RoboNeuron's names
+    script, folder = (
+        next(rest for name, _, rest in steps if name == "RUN" and "pip" in rest),
+        tmp_path,
     )
-
-
-def check_it_installs(script: str, folder: Path) -> None:
-    """Run the script with a pip that prints its arguments, and wheels with RoboNeuron's names."""
     names = ("roboneuron_core", "rn_link", "rn_vla", "rn_backend_openpi", "rn_backend_oft")
     (folder / "wheels").mkdir()
     for name in (*names, "rn_eval"):

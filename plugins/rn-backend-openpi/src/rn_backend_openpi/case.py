@@ -22,12 +22,13 @@ from pydantic import BaseModel, ConfigDict
 
 from rn_backend_openpi.front import PolicyServer
 from rn_backend_openpi.interface_options import InterfaceOptions
+from rn_backend_openpi.listener import address_of
 from rn_backend_openpi.model import SharedModel
 from rn_backend_openpi.model_server import SharedModelServer
 from rn_backend_openpi.options import ModelOptions
 from rn_backend_openpi.plugin import BACKEND, SHARED
 from rn_backend_openpi.processes import ModelProcess
-from rn_backend_openpi.server_options import PolicyServerOptions
+from rn_backend_openpi.server_options import PolicyServerOptions, ServedModelOptions
 from rn_testing import BackendCase
 from rn_testing.fakes.site import PluginSite
 from roboneuron import (
@@ -276,22 +277,21 @@ def serving(
         "models": {spec.name: {"backend": spec.name, "interface": interface}},
     }
     served = PolicyServerOptions.model_validate(tables)
-    (model,) = served.models.values()
     is_ready = threading.Event()
-    with tempfile.TemporaryDirectory(prefix="rn-") as name:
-        folder = Path(name)
-        server = PolicyServer(served, folder, "case", lambda port: is_ready.set())
-        path = folder / "model.sock"
-        held = HeldModel(model, backend, spec, space)
-        one = SharedModelServer(model, path, None, held)
-        server.models[spec.name] = ModelThread(one, spec.name, model, path)
+
+    def make(name: str, given: ServedModelOptions, path: Path) -> ModelThread:
+        held = HeldModel(given, backend, spec, space)
+        return ModelThread(SharedModelServer(given, path, None, held), name, given, path)
+
+    with tempfile.TemporaryDirectory(prefix="rn-") as folder:
+        server = PolicyServer(served, Path(folder), "case", lambda port: is_ready.set(), make)
         thread = threading.Thread(target=server.run, name="policy-server", daemon=True)
         thread.start()
         try:
             if not is_ready.wait(_START_S):
                 raise TimeoutError("the server does not listen")
             scheme = "ws" if served.listen.certificate is None else "wss"
-            yield f"{scheme}://{served.listen.host}:{server.port}"
+            yield f"{scheme}://{address_of(served.listen.host, server.port)}"
         finally:
             server.stop()
             thread.join(_START_S)
@@ -312,7 +312,7 @@ def openpi_case() -> BackendCase:
     return replace(policy_case(), spec=BACKEND)
 
 
-def options_in(folder: Path, **options: object) -> dict[str, object]:
+def options_in(folder: Path, **options: object) -> dict[str, Any]:
     """Options for a server in its own folder that finds the small model."""
     path = os.pathsep.join(filter(None, (str(folder / "site"), os.environ.get("PYTHONPATH"))))
     return {

@@ -1,30 +1,40 @@
-"""Coding of images: chosen by the capacity of the link, and checked by the effect on the
-actions.
+"""Images for transmission: shrunk to the model's input, and coded as the capacity of the link
+allows and the effect on the actions.
 """
 
 from __future__ import annotations
 
+import io
 import logging
 import statistics
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
-from rn_backend_openpi.images import CODINGS, Coding, Size, encode_image, fit, image_bytes
 from rn_backend_openpi.messages import Document, from_observation, image_key
 from rn_backend_openpi.options import PolicyOptions
 from roboneuron import (
     ActionChunk,
     ConfigurationError,
+    Frame,
     NotReadyError,
     Observation,
     RoboNeuronError,
 )
 
 log = logging.getLogger(__name__)
+Coding = Literal["raw", "png", "jpeg"]
+CODINGS: tuple[Coding, ...] = ("raw", "png", "jpeg")
+"""Codings, from the largest data to the smallest; the last one is lossy."""
+Size = tuple[int, int]
+"""Width and height [px]."""
+_PNG_LEVEL = 1
+"""Higher levels take several times as long to save a few per cent."""
 Ask = Callable[[Document, float], ActionChunk]
 """Sends an observation and returns the answer until a deadline (monotonic [s])."""
 PARITY_S = 5.0
@@ -281,3 +291,51 @@ def distances(one: ActionChunk, other: ActionChunk) -> dict[str, float]:
         unit: max((float(d) for d, u in zip(apart, units, strict=True) if u == unit), default=0.0)
         for unit in ("m", "rad")
     }
+
+
+def fit(frame: Frame, size: Size) -> Frame:
+    """Shrink the frame to a size, and adapt its calibration; a frame that is not larger is returned
+    unchanged.
+
+    The filter is Pillow's bilinear one, which averages over the merged pixels.
+    """
+    from PIL import Image  # heavy
+
+    height, width = frame.image.shape[:2]
+    if (width, height) == size or width < size[0] or height < size[1]:
+        return frame
+    image = Image.fromarray(frame.image).resize(size, Image.Resampling.BILINEAR)
+    known = frame.calibration
+    if known is not None:
+        scale = np.diag([size[0] / width, size[1] / height, 1.0])
+        known = replace(known, intrinsics=scale @ known.intrinsics)
+    return replace(frame, image=np.asarray(image, dtype=np.uint8), calibration=known)
+
+
+def encode_image(image: NDArray[np.uint8], coding: Coding, quality: int) -> object:
+    """Encode an image for sending.
+
+    Args:
+        image: uint8 (H, W, 3), RGB.
+        coding: `raw` keeps the image itself.
+        quality: quality of JPEG, 1 .. 100.
+    """
+    if coding == "raw":
+        return image
+    from PIL import Image  # heavy
+
+    made = io.BytesIO()
+    if coding == "png":
+        Image.fromarray(image).save(made, "png", compress_level=_PNG_LEVEL)
+    else:
+        # full colour resolution, because cubes are distinguished by colour
+        Image.fromarray(image).save(made, "jpeg", quality=quality, subsampling=0)
+    height, width = image.shape[:2]
+    data = np.frombuffer(made.getbuffer(), dtype=np.uint8)
+    return {"coding": coding, "height": height, "width": width, "data": data}
+
+
+def image_bytes(image: object) -> int:
+    """Size of a coded image in bytes."""
+    data = image["data"] if isinstance(image, dict) else image
+    return int(np.asarray(data).nbytes)

@@ -35,30 +35,29 @@ ROTATION_VALUES: Mapping[str, int] = MappingProxyType(
     }
 )
 """Number of values of each convention."""
+_OPENINGS: Mapping[str, tuple[float, float]] = MappingProxyType(
+    {
+        "open_fraction": (0.0, 1.0),
+        "closed_fraction": (1.0, -1.0),
+        "signed_open": (0.5, 0.5),
+        "signed_close": (0.5, -0.5),
+    }
+)
+"""Opening at the value 0 of each gripper convention, and its change by a value of 1."""
+_SHORTEST = 1e-3
+"""Smallest length of a quaternion or an axis that still defines a direction."""
 
 
 def to_opening(values: F64, convention: GripperValue) -> F64:
     """Convert a policy's gripper values to openings, without clipping."""
-    if convention == "closed_fraction":
-        return 1.0 - values
-    if convention in ("signed_open", "signed_close"):
-        sign = 1.0 if convention == "signed_open" else -1.0
-        return (1.0 + sign * values) / 2.0
-    return values
+    start, step = _OPENINGS[convention]
+    return start + step * values
 
 
 def from_opening(openings: F64, convention: GripperValue) -> F64:
     """The inverse of `to_opening`."""
-    if convention == "closed_fraction":
-        return 1.0 - openings
-    if convention in ("signed_open", "signed_close"):
-        sign = 1.0 if convention == "signed_open" else -1.0
-        return sign * (2.0 * openings - 1.0)
-    return openings
-
-
-_SHORTEST = 1e-3
-"""Smallest length of a quaternion or an axis that still defines a direction."""
+    start, step = _OPENINGS[convention]
+    return (openings - start) / step
 
 
 def matrix_of(values: F64, rotation: PoseRotation) -> F64:
@@ -87,17 +86,15 @@ def _length(vector: F64, told: F64) -> float:
 
 def rotation_of(quaternion_xyzw: F64, rotation: PoseRotation) -> F64:
     """The inverse of `matrix_of`, for a unit quaternion."""
-    if rotation == "quaternion":
-        return quaternion_xyzw
-    if rotation == "quaternion_wxyz":
-        return np.roll(quaternion_xyzw, 1)
+    if rotation in ("quaternion", "quaternion_wxyz"):
+        return np.roll(quaternion_xyzw, int(rotation == "quaternion_wxyz"))
     matrix = matrix_from_quaternion(quaternion_xyzw)
     if rotation == "rotvec":
         return rotvec_from_matrix(matrix)
     if rotation == "rpy":
         return rpy_from_matrix(matrix)
     axes = matrix if rotation == "rot6d_rows" else matrix.T
-    return np.concatenate([axes[0], axes[1]])
+    return axes[:2].reshape(6)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -7,9 +7,10 @@ import logging
 import secrets
 import time
 from collections import OrderedDict
-from collections.abc import Callable, Coroutine, Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from websockets.asyncio.server import ServerConnection
@@ -161,8 +162,15 @@ class Conversation:
 
         def hold_and_tell(answer: Answer) -> None:
             # on the model's thread, so that a context exists before the robot can name it
-            if request.number is not None and isinstance(answer, ActionChunk):
-                self._hold(answer, request.number)
+            number = request.number
+            if (
+                number is not None
+                and isinstance(answer, ActionChunk)
+                and answer.context is not None
+            ):
+                self._held[number] = answer.context
+                while len(self._held) > _MOST_HELD:
+                    self._held.popitem(last=False)
             tell(answer)
 
         deadline_s = time.monotonic() + request.left_s
@@ -181,7 +189,7 @@ class Conversation:
         """
         if request.number is not None:
             return self._told(answer, request.number, request.clock_ns)
-        self._server.note(answer)
+        self._server.statistics.note(answer)
         if isinstance(answer, RoboNeuronError):
             raise answer
         layout = self._server.model.layout
@@ -191,7 +199,7 @@ class Conversation:
 
     def _told(self, answer: Answer, found: int, clock_ns: int) -> Reply:
         """An answer with the number of its request."""
-        self._server.note(answer)
+        self._server.statistics.note(answer)
         held = messages.HeldContext(self._session, found) if found in self._held else None
         try:
             told = messages.from_answer(answer, held)
@@ -199,14 +207,6 @@ class Conversation:
             refusal = PluginError(f"The answer of the shared model cannot be sent: {error}.")
             told = messages.from_answer(refusal)
         return {**told, RESERVED: {**told[RESERVED], "number": found, "clock_ns": clock_ns}}
-
-    def _hold(self, chunk: ActionChunk, found: int) -> None:
-        """Store the context of a chunk."""
-        if chunk.context is None:
-            return
-        self._held[found] = chunk.context
-        while len(self._held) > _MOST_HELD:
-            self._held.popitem(last=False)
 
     def _recall(self, named: messages.HeldContext) -> object:
         """A stored context; None for that of another connection."""
@@ -234,16 +234,15 @@ async def converse(connection: ServerConnection, conversation: Conversation) -> 
             if not isinstance(request, PolicyRequest):
                 await send(connection, pack(request))
                 continue
-            answering = _answer(connection, conversation, request, previous)
             is_robot = request.number is not None
             if not is_robot:  # openpi's clients wait for each answer
-                await answering
+                await _answer(connection, conversation, request, previous)
                 continue
             while len(open_tasks) >= _MOST_OPEN:
                 await asyncio.wait(open_tasks, return_when=asyncio.FIRST_COMPLETED)
-            task = asyncio.create_task(_guarded(connection, answering))
-            open_tasks.add(task)
-            task.add_done_callback(open_tasks.discard)
+            answering = _answer(connection, conversation, request, previous)
+            open_tasks.add(task := asyncio.create_task(answering))
+            task.add_done_callback(partial(_ended, connection, open_tasks))
     except ConnectionClosed:
         pass
     except RoboNeuronError as error:
@@ -255,6 +254,17 @@ async def converse(connection: ServerConnection, conversation: Conversation) -> 
     finally:
         for task in open_tasks:
             task.cancel()
+
+
+def _ended(
+    connection: ServerConnection, open_tasks: set[asyncio.Task[None]], task: asyncio.Task[None]
+) -> None:
+    """Forget a request that was answered beside others; without an answer the connection ends."""
+    open_tasks.discard(task)
+    error = None if task.cancelled() else task.exception()
+    if error is not None and not isinstance(error, ConnectionClosed):
+        log.error("%s is dropped.", connection.remote_address, exc_info=error)
+        connection.transport.abort()
 
 
 async def _received(connection: ServerConnection, idle_s: float | None) -> str | bytes | None:
@@ -309,17 +319,6 @@ async def answered(conversation: Conversation, request: PolicyRequest) -> dict[s
         answer = error
     timing = {"infer_ms": (loop.time() - began_s) * 1e3}
     return {**conversation.reply(answer, request), "server_timing": timing}
-
-
-async def _guarded(connection: ServerConnection, answering: Coroutine[None, None, None]) -> None:
-    """Answer beside other requests of the connection; without an answer it ends."""
-    try:
-        await answering
-    except ConnectionClosed:
-        pass
-    except Exception:  # the border to one client: the others continue
-        log.exception("%s is dropped.", connection.remote_address)
-        connection.transport.abort()
 
 
 def told_of(error: RoboNeuronError) -> str:

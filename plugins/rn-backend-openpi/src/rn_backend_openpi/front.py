@@ -12,25 +12,27 @@ import socket
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import AsyncIterator, Callable
+from contextlib import AsyncExitStack, ExitStack, asynccontextmanager, suppress
 from http import HTTPStatus
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 from websockets.asyncio.server import Server, ServerConnection
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request
 
 from rn_backend_openpi.description import READY
-from rn_backend_openpi.listener import Listener
+from rn_backend_openpi.listener import Answer, Listener, address_of, listening
 from rn_backend_openpi.messages import Document
 from rn_backend_openpi.processes import ModelProcess
 from rn_backend_openpi.security import Guard
 from rn_backend_openpi.server_options import PolicyServerOptions, ServedModelOptions
-from rn_backend_openpi.statistics import Times
-from rn_backend_openpi.status_page import STATUS, page
+from rn_backend_openpi.statistics import STATUS, Times, page
 from roboneuron import ConfigurationError, ForeignDataError
+
+if TYPE_CHECKING:
+    from rn_backend_openpi.ray_engine import RayModel
 
 log = logging.getLogger(__name__)
 HEALTH = "/healthz"
@@ -39,41 +41,9 @@ _LOOK_S = 0.1
 _KEYS_LOOK_S = 0.5
 _TELL_S = 10.0
 """Period of the log's summary of refused connections, so that strangers cannot fill the log [s]."""
-_BACKLOG = 1024
 _PROBE_S = 0.5
-
-
-class RelayedModel(Protocol):
-    """One model of a server, used from `start` to `close`."""
-
-    name: str
-
-    @property
-    def state(self) -> str:
-        """`LOADING`, `READY`, `FAILED` or `DEAD`."""
-
-    def start(self) -> None:
-        """Start loading; returns at once."""
-
-    def stop(self) -> None:
-        """Request the end."""
-
-    def close(self) -> None:
-        """End, and wait for it; idempotent."""
-
-    def status(self) -> Document:
-        """Statistics."""
-
-    async def relay(self, robot: ServerConnection, note: Callable[[float], None]) -> int:
-        """Answer a robot until it disconnects; returns the number of lost observations.
-
-        Args:
-            robot: its connection.
-            note: called with the time of each answer [s].
-        """
-
-
-MakeModel = Callable[[str, ServedModelOptions, Path], RelayedModel]
+MakeModel = Callable[[str, ServedModelOptions, Path], "ModelProcess | RayModel"]
+"""Makes a model of a server: from its name, its options, and the path of a socket."""
 
 
 class PolicyServer:
@@ -84,7 +54,7 @@ class PolicyServer:
         folder: folder for sockets and logs, accessible only to this user.
         name: name of the server among others in the folder.
         tell: called with the port once all models are ready.
-        make_model: creates a model from its name, its options, and the path of a socket.
+        make_model: see `MakeModel`.
     """
 
     def __init__(
@@ -98,17 +68,18 @@ class PolicyServer:
         self._options, self._tell = options, tell
         self._guard = Guard(options.listen)
         self.path = folder / f"{name}.sock"
-        self.models: dict[str, RelayedModel] = {
+        self.models = {
             model: make_model(model, given, folder / f"{name}-{model}.sock")
             for model, given in options.models.items()
         }
         self._end = threading.Event()
-        pages = {HEALTH: self._health_page}
-        most = options.listen.robots
-        self._robots = Listener(self._relay, most=most, admit=self._admit, pages=pages)
-        self._local = Listener(
-            self._relay, most=0, admit=self._refuse, pages={STATUS: self._status_page}
+        self._robots = Listener(
+            self._relay,
+            most=options.listen.robots,
+            admit=self._admit,
+            pages={HEALTH: self._health_page},
         )
+        self._local = Listener(self._relay, most=0, pages={STATUS: self._status_page})
         self._lost: Counter[str] = Counter()
         self._served = {name: Times() for name in options.models}
         self._told, self._told_s = 0, 0.0
@@ -119,15 +90,22 @@ class PolicyServer:
         """Serve until `stop` is called; returns the exit status.
 
         Raises:
-            ConfigurationError: the address cannot be used.
+            ConfigurationError: an address cannot be used.
         """
-        with self._metrics(), _network_listener(self._options) as network:
+        listen = self._options.listen
+        with ExitStack() as undo:
+            network = undo.enter_context(listening(listen.host, listen.port, "port"))
+            scraped = list[socket.socket]()
+            if listen.metrics_port is not None:
+                place = listening(listen.metrics_host, listen.metrics_port, "metrics_port")
+                scraped = undo.enter_context(place)
+                self.metrics_port = scraped[0].getsockname()[1]
             _check_alone(self.path)
-            self.port = network.getsockname()[1]
+            self.port = network[0].getsockname()[1]
             for model in self.models.values():
                 model.start()
             try:
-                asyncio.run(self._serve(network))
+                asyncio.run(self._serve(network, scraped))
             finally:
                 self.path.unlink(missing_ok=True)
                 for model in self.models.values():
@@ -152,7 +130,7 @@ class PolicyServer:
             for name, model in self.models.items()
         }
         return {
-            "address": f"{listen.host}:{self.port}",
+            "address": address_of(listen.host, self.port),
             "keys": listen.keys,
             "pid": os.getpid(),
             "robots": len(self._robots.clients),
@@ -161,12 +139,16 @@ class PolicyServer:
             "models": models,
         }
 
-    async def _serve(self, network: socket.socket) -> None:
+    async def _serve(self, network: list[socket.socket], scraped: list[socket.socket]) -> None:
         """Serve until the end; robots have to connect anew when the keys of the link change."""
         listen = self._options.listen
-        async with await self._local.open_local(str(self.path)):
-            log.info("Robots connect to %s:%d (keys: %s).", listen.host, self.port, listen.keys)
-            opened = await self._open(network)
+        async with AsyncExitStack() as opened:
+            await opened.enter_async_context(await self._local.open_local(str(self.path)))
+            if scraped:
+                await opened.enter_async_context(self._scraped(scraped))
+            name = address_of(listen.host, self.port)
+            log.info("Robots connect to %s (keys: %s).", name, listen.keys)
+            robots = await self._open(network)
             self.has_begun.set()
             _notify_manager()
             looked_s, is_told = 0.0, False
@@ -182,29 +164,47 @@ class PolicyServer:
                 self._tell_refusals(now_s)
                 if self._guard.has_changed():
                     log.warning("The keys of the link have changed; robots must reconnect.")
-                    await self._close(opened)
-                    opened = await self._open(network)
-            await self._drain()
-            await self._close(opened)
+                    await self._close(robots)
+                    robots = await self._open(network)
+            # those that are connected are answered for a while, until they have left
+            until_s = time.monotonic() + listen.drain_s
+            while self._robots.clients and time.monotonic() < until_s:
+                await asyncio.sleep(_LOOK_S)
+            await self._close(robots)
 
-    async def _drain(self) -> None:
-        """Answer the robots that are connected for a while, until they have left."""
-        until_s = time.monotonic() + self._options.listen.drain_s
-        while self._robots.clients and time.monotonic() < until_s:
-            await asyncio.sleep(_LOOK_S)
-
-    async def _open(self, network: socket.socket) -> Server | None:
-        """Accept robots with the keys of now; None if this machine is paired with no other."""
+    async def _open(self, network: list[socket.socket]) -> list[Server]:
+        """Accept robots with the keys of now; none if this machine is paired with no other."""
         try:
             context = self._guard.context
         except ConnectionError as error:
             log.warning("No robot can connect: %s.", error)
-            return None
-        return await self._robots.open(network.dup(), context)
+            return []
+        return [await self._robots.open(one.dup(), context) for one in network]
 
-    def _admit(
-        self, connection: ServerConnection, request: Request
-    ) -> tuple[HTTPStatus, str] | None:
+    async def _close(self, opened: list[Server]) -> None:
+        """Accept no more robots, and disconnect those that there are."""
+        for robot in list(self._robots.clients):
+            robot.transport.abort()
+        for server in opened:
+            server.close()
+            await server.wait_closed()
+
+    @asynccontextmanager
+    async def _scraped(self, sockets: list[socket.socket]) -> AsyncIterator[None]:
+        """Answer scrapes of the metrics within the context, several at a time."""
+        from rn_backend_openpi.metrics import PolicyMetrics  # heavy
+
+        metrics = PolicyMetrics(self.status)
+        pages = {"/metrics": lambda: (HTTPStatus.OK, metrics.page())}
+        scraped = Listener(self._relay, most=0, pages=pages)
+        name = address_of(self._options.listen.metrics_host, self.metrics_port)
+        log.info("Metrics are at http://%s/metrics.", name)
+        async with AsyncExitStack() as opened:
+            for one in sockets:
+                await opened.enter_async_context(await scraped.open(one.dup(), None))
+            yield
+
+    def _admit(self, connection: ServerConnection, request: Request) -> Answer | None:
         if not self._guard.is_admitted(request.headers.get_all("Authorization")):
             return HTTPStatus.UNAUTHORIZED, ""
         if self._end.is_set():
@@ -215,12 +215,7 @@ class PolicyServer:
             return HTTPStatus.NOT_FOUND, f"{told} Name one with `model`: {', '.join(self.models)}."
         return None
 
-    def _refuse(
-        self, connection: ServerConnection, request: Request
-    ) -> tuple[HTTPStatus, str] | None:
-        return HTTPStatus.NOT_FOUND, ""
-
-    def _model_of(self, request: Request) -> RelayedModel | None:
+    def _model_of(self, request: Request) -> ModelProcess | RayModel | None:
         """The model named by a path; that of a server with one model needs no name."""
         wanted = request.path.strip("/")
         if not wanted and len(self.models) == 1:
@@ -241,14 +236,14 @@ class PolicyServer:
     def _is_ready(self) -> bool:
         return all(model.state == READY for model in self.models.values())
 
-    def _health_page(self) -> tuple[HTTPStatus, str]:
+    def _health_page(self) -> Answer:
         if self._end.is_set():
             return HTTPStatus.SERVICE_UNAVAILABLE, "the server is being stopped\n"
         if self._is_ready:
             return HTTPStatus.OK, "OK\n"
         return HTTPStatus.SERVICE_UNAVAILABLE, "a model is not ready\n"
 
-    def _status_page(self) -> tuple[HTTPStatus, str]:
+    def _status_page(self) -> Answer:
         return HTTPStatus.OK, json.dumps(self.status())
 
     def _tell_refusals(self, now_s: float) -> None:
@@ -256,47 +251,6 @@ class PolicyServer:
         if refused > self._told and now_s - self._told_s > _TELL_S:
             log.warning("%d connections were refused.", refused - self._told)
             self._told, self._told_s = refused, now_s
-
-    async def _close(self, opened: Server | None) -> None:
-        """Accept no more robots, and disconnect those that there are."""
-        if opened is None:
-            return
-        for robot in list(self._robots.clients):
-            robot.transport.abort()
-        opened.close()
-        await opened.wait_closed()
-
-    @contextmanager
-    def _metrics(self) -> Iterator[None]:
-        """Serve the metrics within the context, if the options name a port. Raises as
-        `MetricsEndpoint`.
-        """
-        listen = self._options.listen
-        if listen.metrics_port is None:
-            yield
-            return
-        from rn_backend_openpi.metrics import MetricsEndpoint
-
-        endpoint = MetricsEndpoint(listen.metrics_host, listen.metrics_port, self.status)
-        self.metrics_port = endpoint.port
-        log.info("Metrics are at http://%s:%d/metrics.", listen.metrics_host, endpoint.port)
-        try:
-            yield
-        finally:
-            endpoint.close()
-
-
-def _network_listener(options: PolicyServerOptions) -> socket.socket:
-    """Create the listening TCP socket. Raises ConfigurationError if the address cannot be used."""
-    listen = options.listen
-    try:
-        return socket.create_server((listen.host, listen.port), backlog=_BACKLOG)
-    except OSError as error:
-        raise ConfigurationError(
-            f"The policy server cannot listen on {listen.host}:{listen.port}: "
-            f"{error.strerror or error}.",
-            hint="Is another one running? Choose another host or port in [listen].",
-        ) from error
 
 
 def _check_alone(path: Path) -> None:

@@ -2,36 +2,38 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
 
+from rn_backend_openpi.conventions import NetworkUnits
 from rn_backend_openpi.interface_options import InterfaceOptions, JointAction, PoseAction
-from rn_backend_openpi.layout import Layout, Size
-from rn_backend_openpi.profiles import PRESETS, Keys
-from rn_backend_openpi.rows import (
-    ONE_ARM,
-    DeltaRows,
-    JointRows,
-    PoseRows,
-    Rows,
-    joints_by_arm,
-)
+from rn_backend_openpi.layout import Layout
+from rn_backend_openpi.options import NormalisationOptions, PolicyOptions
+from rn_backend_openpi.profiles import CAMERAS, PRESETS, STATE_KEYS, Preset
+from rn_backend_openpi.rows import ONE_ARM, DeltaRows, JointRows, PoseRows, Rows, joints_by_arm
 from rn_backend_openpi.state import TermState
+from rn_vla.normalisation import read_openpi_scalings
 from rn_vla.tcp_actions import ActionLayout
 from rn_vla.tcp_profiles import PROFILES
 from rn_vla.tcp_state import StateLayout
 from roboneuron import BackendSpec, ConfigurationError, ControlSpace
 
-_OWN_IMAGES = MappingProxyType(
-    {
-        "primary": "observation/image",
-        "wrist": "observation/wrist_image",
-        "right_wrist": "observation/right_wrist_image",
-    }
+_OWN = Preset(
+    images=MappingProxyType(
+        {
+            "primary": "observation/image",
+            "wrist": "observation/wrist_image",
+            "right_wrist": "observation/right_wrist_image",
+        }
+    ),
+    state=MappingProxyType({}),
+    size_px=None,
+    optional=frozenset({"wrist", "right_wrist"}),
 )
-"""Of the profile 'own' without `image_keys`."""
+"""The profile 'own' where the options say nothing else."""
 
 
 def layout_of(options: InterfaceOptions) -> Layout:
@@ -41,22 +43,19 @@ def layout_of(options: InterfaceOptions) -> Layout:
         ConfigurationError: `joints` is missing, does not fit, or is unused.
     """
     assert options.profile is not None
-    preset = PRESETS.get(options.profile)
-    images = _OWN_IMAGES if preset is None else preset.images
-    size: Size | None = None if preset is None else preset.size_px
-    if options.image_size_px is not None:
-        size = None if options.image_size_px == "raw" else options.image_size_px
-    optional = frozenset(images) - {"primary"} if preset is None else preset.optional
+    preset = PRESETS.get(options.profile, _OWN)
+    size = options.image_size_px or preset.size_px
+    arms = options.arms or (ONE_ARM if preset.rows is None else preset.rows.arms)
     return Layout(
         name=options.profile,
-        image_keys=options.image_keys or images,
-        optional_roles=optional if options.image_keys is None else frozenset(),
-        image_size_px=size,
-        axes=options.image_axes or ("hwc" if preset is None else preset.axes),
+        image_keys=options.image_keys or preset.images,
+        optional_roles=preset.optional if options.image_keys is None else frozenset(),
+        image_size_px=None if size == "raw" else size,
+        axes=options.image_axes or preset.axes,
         flip=options.image_flip,
         prompt_key=options.prompt_key,
-        state=_state(options),
-        rows=_rows(options),
+        state=_state(options, preset, arms),
+        rows=_rows(options, preset, arms),
     )
 
 
@@ -94,49 +93,65 @@ def served_layout(options: InterfaceOptions, spec: BackendSpec, space: ControlSp
     return replace(layout, image_keys=keys, optional_roles=optional)
 
 
-def _arms(options: InterfaceOptions) -> tuple[str, ...]:
-    preset = PRESETS.get(options.profile or "")
-    if preset is not None:
-        return ONE_ARM if preset.rows is None else preset.rows.arms
-    return options.arms or ONE_ARM
+def engine_layout(options: PolicyOptions) -> Layout:
+    """As `layout_of`; with the names of the engine and the conversion to its units if there is one,
+    except for DreamZero, which takes RoboArena's own.
+
+    Raises:
+        CheckpointError: the file with the statistics cannot be read.
+        ConfigurationError: as `layout_of`, or the statistics are of fewer values than the
+            profile's.
+    """
+    layout = layout_of(options)
+    if options.engine is None or not options.is_bare:
+        return layout
+    cameras = CAMERAS.get(layout.name, CAMERAS[""])
+    keys = {role: cameras[role] for role in layout.image_keys if role in cameras}
+    state = actions = None
+    given = options.normalisation
+    if isinstance(given, NormalisationOptions):
+        state, actions = read_openpi_scalings(given.file, given.kind)
+        if actions.width < layout.rows.width:
+            raise ConfigurationError(
+                f"{given.file} (actions) has statistics of {actions.width} values, the profile has "
+                f"{layout.rows.width}.",
+                hint="Name the statistics of the served checkpoint.",
+            )
+    network = NetworkUnits(state_key=STATE_KEYS[options.engine], state=state, actions=actions)
+    return replace(layout, image_keys=options.image_keys or keys, network=network)
 
 
-def _joints(options: InterfaceOptions) -> tuple[str, ...]:
+def _joints(options: InterfaceOptions, arms: tuple[str, ...]) -> Mapping[str, tuple[str, ...]]:
+    """The joints of each arm. Raises ConfigurationError if they are missing or do not fit."""
     if options.joints is None:
         raise ConfigurationError(
             f"Profile {options.profile!r} needs the option 'joints': the robot's joints in the "
             "policy's order."
         )
-    joints_by_arm(options.joints, _arms(options))
-    return options.joints
+    return joints_by_arm(options.joints, arms)
 
 
-def _rows(options: InterfaceOptions) -> Rows:
-    base = np.array(options.base_position_m)
-    preset = PRESETS.get(options.profile or "")
-    if preset is not None and preset.rows is not None:
-        names = _joints(options)
-        wanted = preset.joints * len(_arms(options))
-        if len(names) != wanted:
+def _rows(options: InterfaceOptions, preset: Preset, arms: tuple[str, ...]) -> Rows:
+    action = options.action
+    rows = JointRows(**action.model_dump(), arms=arms) if isinstance(action, JointAction) else None
+    if rows := preset.rows or rows:
+        each = _joints(options, arms)
+        if preset.joints not in (0, len(each[arms[0]])):
             raise ConfigurationError(
-                f"The option 'joints' names {len(names)} joints, profile {options.profile!r} has "
-                f"{wanted}.",
+                f"The option 'joints' names {len(options.joints or ())} joints, profile "
+                f"{options.profile!r} has {preset.joints * len(arms)}.",
                 hint="Name them in the policy's order, from the base to the tip of each arm.",
             )
-        return replace(preset.rows, names=names)
-    action = options.action
-    if isinstance(action, JointAction):
-        return JointRows(**action.model_dump(), arms=_arms(options), names=_joints(options))
-    if isinstance(action, PoseAction):
-        _refuse_joints(options)
-        return PoseRows(
-            rotation=action.rotation,
-            gripper=action.gripper,
-            rate_hz=action.rate_hz,
-            arms=_arms(options),
-            base_position_m=base,
+        return replace(rows, names=options.joints or ())
+    terms = {term for part in (options.state_keys or {}).values() for term in part}
+    if options.joints is not None and "joints" not in terms:
+        raise ConfigurationError(
+            "The option 'joints' has no effect: the profile moves the TCP and its state holds no "
+            "joints."
         )
-    _refuse_joints(options)
+    base = np.array(options.base_position_m)
+    if isinstance(action, PoseAction):
+        return PoseRows(**action.model_dump(), arms=arms, base_position_m=base)
     if action is None:
         layout = PROFILES[options.profile or ""].action
     else:
@@ -149,22 +164,11 @@ def _rows(options: InterfaceOptions) -> Rows:
     return DeltaRows(layout=layout, base_position_m=base)
 
 
-def _refuse_joints(options: InterfaceOptions) -> None:
-    """Raise ConfigurationError for joint names that are not used."""
-    terms = {term for part in (options.state_keys or {}).values() for term in part}
-    if options.joints is not None and "joints" not in terms:
-        raise ConfigurationError(
-            "The option 'joints' has no effect: the profile moves the TCP and its state holds no "
-            "joints."
-        )
-
-
-def _state(options: InterfaceOptions) -> TermState:
-    preset = PRESETS.get(options.profile or "")
-    tcp = PROFILES.get(options.profile or "") if preset is None or preset.rows is None else None
-    keys: Keys = options.state_keys or (MappingProxyType({}) if preset is None else preset.state)
+def _state(options: InterfaceOptions, preset: Preset, arms: tuple[str, ...]) -> TermState:
+    keys = options.state_keys or preset.state
     has_joints = any("joints" in terms for terms in keys.values())
-    by_arm = joints_by_arm(_joints(options), _arms(options)) if has_joints else {}
+    by_arm = _joints(options, arms) if has_joints else {}
+    tcp = PROFILES.get(options.profile or "") if preset.rows is None else None
     near = np.zeros(3) if tcp is None else tcp.state.rotvec_near_rad
     if options.rotvec_near_rad is not None:
         near = np.array(options.rotvec_near_rad)
@@ -178,7 +182,7 @@ def _state(options: InterfaceOptions) -> TermState:
                     rotvec_near_rad=near,
                     finger_travel_m=options.finger_travel_m,
                 )
-                for arm in _arms(options)
+                for arm in arms
             }
             for key, terms in keys.items()
         }

@@ -28,8 +28,6 @@ from roboneuron import (
 
 Axes = Literal["hwc", "chw"]
 Size = tuple[int, int]
-STEP = "step_s"
-"""Entry of RoboNeuron's answers: time between two rows [s]."""
 _MOST_NESTED = 4
 _RATE_SHARE = 0.02
 """Relative tolerance between a chunk's period and the profile's: rates are given in whole Hz."""
@@ -172,7 +170,7 @@ class Layout:
             )
         return {
             "actions": rows.from_contract(np.asarray(chunk.actions), observation),
-            STEP: chunk.step_s,
+            "step_s": chunk.step_s,
             "policy_timing": {"infer_ms": float(chunk.metrics.get("shared.model_ms", 0.0))},
         }
 

@@ -1,4 +1,6 @@
-"""The server of a model on this machine, which the first robot starts."""
+"""Processes of models on this machine, their sockets and logs; the server that the first robot
+starts.
+"""
 
 from __future__ import annotations
 
@@ -7,20 +9,22 @@ import socket
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 
-from rn_backend_openpi.options import PolicyOptions
+from rn_backend_openpi.options import ModelOptions, PolicyOptions
 from roboneuron import ConfigurationError
 
 _HELLO_S = 0.5
 _SPAWN_S = 60.0
 _AGAIN_S = 2.0
 """Shortest time between two starts of the same server."""
+_MOST_LOG_BYTES = 10_000_000
 
 
-def directory_of(options: PolicyOptions) -> Path:
-    """Folder of sockets and logs. Raises as `private_directory`."""
-    return private_directory(options.directory)
+def socket_of(options: PolicyOptions) -> Path:
+    """Path of the socket of a model's server, and of its log. Raises as `private_directory`."""
+    return private_directory(options.directory) / f"{options.identity()}.sock"
 
 
 def private_directory(chosen: Path | None) -> Path:
@@ -50,6 +54,38 @@ def private_directory(chosen: Path | None) -> Path:
     return path
 
 
+def spawn(options: ModelOptions, path: Path, *mode: str) -> subprocess.Popen[str]:
+    """Start the process of a model's server, in a session of its own.
+
+    Args:
+        options: those of the model.
+        path: its socket; the log is next to it.
+        mode: see `server_process.main`.
+
+    Raises:
+        OSError: it cannot be started.
+    """
+    log_path = path.with_suffix(".log")
+    if log_path.exists() and log_path.stat().st_size > _MOST_LOG_BYTES:
+        log_path.replace(log_path.with_suffix(".log.1"))
+    python = str(options.python or sys.executable)
+    with log_path.open("a") as output:
+        process = subprocess.Popen(
+            [python, "-P", "-m", "rn_backend_openpi.server_process", *mode, str(path)],
+            stdin=subprocess.PIPE,
+            stdout=output,
+            stderr=output,
+            text=True,
+            env={**os.environ, **options.environment},
+            start_new_session=True,  # Ctrl-C ends the supervisor, which ends this process
+        )
+    assert process.stdin is not None
+    with suppress(BrokenPipeError):  # it has died already, which is detected later
+        process.stdin.write(options.of_the_model().model_dump_json(exclude_unset=True) + "\n")
+        process.stdin.flush()
+    return process
+
+
 class LocalServer:
     """The server of a model at a Unix socket.
 
@@ -62,7 +98,7 @@ class LocalServer:
 
     def __init__(self, options: PolicyOptions) -> None:
         self._options = options
-        self.path = directory_of(options) / f"{options.identity()}.sock"
+        self.path = socket_of(options)
         self._started_s = -_AGAIN_S
 
     def connect(self) -> socket.socket:
@@ -78,32 +114,23 @@ class LocalServer:
 
     def start(self) -> None:
         """Start the server in the background, unless it was just started. If one is already
-        running, the new one ends at once.
+        running, the new one ends at once. Raises ConfigurationError: it cannot be started.
         """
         now_s = time.monotonic()
         if now_s - self._started_s < _AGAIN_S:
             return
         self._started_s = now_s
-        python = str(self._options.python or sys.executable)
         try:
-            subprocess.run(
-                [
-                    *(python, "-P", "-m", "rn_backend_openpi.server_process"),
-                    *(str(self._options.idle_s), str(self.path)),
-                ],
-                input=self._options.of_the_model().model_dump_json(exclude_unset=True) + "\n",
-                env={**os.environ, **self._options.environment},
-                check=True,
-                capture_output=True,
-                text=True,
-                timeout=_SPAWN_S,
-            )
-        except subprocess.CalledProcessError as error:
-            lines = error.stderr.strip().splitlines() or ["it printed nothing"]
-            raise ConfigurationError(
-                f"The server of the shared model cannot be started: {lines[-1]}."
-            ) from error
+            process = spawn(self._options, self.path, str(self._options.idle_s))
+            assert process.stdin is not None
+            with suppress(BrokenPipeError):
+                process.stdin.close()
+            code = process.wait(_SPAWN_S)
         except (OSError, subprocess.TimeoutExpired) as error:
             raise ConfigurationError(
                 f"The server of the shared model cannot be started: {error}."
             ) from error
+        if code:
+            lines = self.path.with_suffix(".log").read_text(errors="replace").splitlines()
+            said = lines[-1] if lines else "it printed nothing"
+            raise ConfigurationError(f"The server of the shared model cannot be started: {said}.")

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import logging
 import os
 import socket
 import ssl
-from collections.abc import Awaitable, Callable, Mapping
-from contextlib import suppress
+from collections.abc import Awaitable, Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
 from http import HTTPStatus
 from typing import Any, ClassVar
 
@@ -21,6 +22,7 @@ from websockets.protocol import State
 
 from rn_backend_openpi.security import tune
 from rn_backend_openpi.wire import MOST_BYTES
+from roboneuron import ConfigurationError
 
 HANDSHAKE_S = 5.0
 """Longest opening handshake, TLS included."""
@@ -32,6 +34,7 @@ _CLOSE_S = 1.0
 _SILENT_S = 5.0
 _BACKLOG = 1024
 Answer = tuple[HTTPStatus, str]
+"""Status and text of an answer of HTTP."""
 Handle = Callable[[ServerConnection], Awaitable[None]]
 Admit = Callable[[ServerConnection, Request], Answer | None]
 """Refuses a client; None accepts it."""
@@ -39,12 +42,60 @@ Page = Callable[[], Answer]
 log = logging.getLogger(__name__)
 
 
+def address_of(host: str, port: int) -> str:
+    """`host:port`, with brackets for an address of IPv6."""
+    return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
+
+
+@contextmanager
+def listening(host: str, port: int, option: str) -> Iterator[list[socket.socket]]:
+    """Listening sockets at every address of a host, of IPv4 and IPv6, closed after the context.
+
+    Args:
+        host: name or address; `::` means any address of both.
+        port: of all sockets; 0 for a free one.
+        option: key of the port in [listen], for the message.
+
+    Raises:
+        ConfigurationError: the address cannot be used.
+    """
+    with ExitStack() as undo:
+        made: list[socket.socket] = []
+        unusable = OSError("the name has no address")
+        try:
+            found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
+            for family, *_, place in found:
+                address = (place[0], port, *place[2:])
+                is_both = host == "::" and socket.has_dualstack_ipv6()
+                try:
+                    one = socket.create_server(
+                        address, family=family, backlog=_BACKLOG, dualstack_ipv6=is_both
+                    )
+                except OSError as error:
+                    # a name may have addresses of a family that this machine does not use
+                    if error.errno not in (errno.EADDRNOTAVAIL, errno.EAFNOSUPPORT):
+                        raise
+                    unusable = error
+                else:
+                    made.append(undo.enter_context(one))
+                    port = one.getsockname()[1]
+            if not made:
+                raise unusable
+        except OSError as error:
+            raise ConfigurationError(
+                f"The policy server cannot listen on {address_of(host, port)}: "
+                f"{error.strerror or error}.",
+                hint=f"Is another one running? Choose another host or {option} in [listen].",
+            ) from error
+        yield made
+
+
 class Listener:
     """Accepts the clients of a server; used on its event loop.
 
     Args:
         handle: serves one client until it disconnects.
-        most: largest number of clients; further ones are refused.
+        most: largest number of clients; further ones are refused. With 0 there are pages only.
         admit: refuses clients.
         pages: answers to plain requests of HTTP, by path.
 
@@ -120,11 +171,11 @@ class Listener:
 
     async def _process(self, connection: ServerConnection, request: Request) -> Response | None:
         assert isinstance(connection, CountedConnection)
-        page = self._pages.get(request.path)
+        page = self._pages.get(request.path.partition("?")[0])
         if page is not None:
             connection.is_page = True
             return connection.respond(*await asyncio.to_thread(page))
-        refusal = self._admit(connection, request)
+        refusal = self._admit(connection, request) if self._most else (HTTPStatus.NOT_FOUND, "")
         if refusal is None and len(self.clients) >= self._most:
             text = f"{len(self.clients)} clients are connected; no more are taken."
             refusal = HTTPStatus.SERVICE_UNAVAILABLE, text

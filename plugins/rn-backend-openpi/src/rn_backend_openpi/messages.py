@@ -13,13 +13,14 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 import roboneuron
-from rn_backend_openpi.images import decode_image
 from rn_backend_openpi.state import state_entries, state_of
 from rn_backend_openpi.wire import array, numbers
 from roboneuron import (
     EE_DELTA,
+    MAX_SIDE_PX,
     ActionChunk,
     Ahead,
     CameraCalibration,
@@ -38,6 +39,7 @@ from roboneuron import (
     UngroundedError,
     UnsafeError,
     foreign,
+    frame_from_compressed,
 )
 
 RESERVED = "roboneuron"
@@ -203,6 +205,32 @@ def _to_frame(role: str, image: object, told: Document) -> Frame:
     )
 
 
+def decode_image(value: object) -> NDArray[np.uint8]:
+    """Decode a received image.
+
+    Raises:
+        ForeignDataError: it is invalid, or its size differs from the announced one.
+    """
+    if isinstance(value, np.ndarray):
+        raw: NDArray[np.uint8] = array(value, "an image", "|u1", (None, None, 3))
+        return raw
+    coding = foreign.field(value, "coding")
+    height, width = (
+        foreign.integer(foreign.field(value, name), name, 1, MAX_SIDE_PX)
+        for name in ("height", "width")
+    )
+    data = array(foreign.field(value, "data"), "data of an image", "|u1", (None,))
+    if coding not in ("png", "jpeg"):
+        raise ForeignDataError("the coding of an image is unknown")
+    try:
+        decoded: NDArray[np.uint8] = frame_from_compressed(data, coding)
+    except InvalidInputError as error:
+        raise ForeignDataError(error.message.rstrip(".")) from error
+    if decoded.shape != (height, width, 3):
+        raise ForeignDataError(f"an image of {decoded.shape} was not announced")
+    return decoded
+
+
 def _to_calibration(value: object) -> CameraCalibration:
     intrinsics, mount, pose = foreign.items(value, "a calibration", most=3, least=3)
     return CameraCalibration(
@@ -268,11 +296,9 @@ def to_answer(document: Mapping[str, object]) -> ActionChunk:
     """
     own = foreign.table(foreign.field(document, RESERVED), RESERVED)
     raise_told(own)
-    names, values = foreign.items(foreign.field(own, "metrics"), "metrics", most=2, least=2)
-    names = [
-        foreign.text(name, "a metric", 64)
-        for name in foreign.items(names, "metrics", most=_MOST_METRICS)
-    ]
+    told, values = foreign.items(foreign.field(own, "metrics"), "metrics", most=2, least=2)
+    named = foreign.items(told, "metrics", most=_MOST_METRICS)
+    names = [foreign.text(name, "a metric", 64) for name in named]
     values = array(values, "metrics", "<f8", (len(names),))
     context = foreign.field(own, "context")
     return ActionChunk(

@@ -17,7 +17,7 @@ from pathlib import Path
 from websockets.asyncio.server import ServerConnection
 
 from rn_backend_openpi import messages
-from rn_backend_openpi.batching import Answer, Batcher, Waiting
+from rn_backend_openpi.batching import Batcher, Waiting
 from rn_backend_openpi.conversation import Conversation, Reply, converse
 from rn_backend_openpi.description import (
     FAILED,
@@ -32,8 +32,7 @@ from rn_backend_openpi.listener import Listener
 from rn_backend_openpi.messages import RESERVED, Document
 from rn_backend_openpi.model import SharedModel
 from rn_backend_openpi.options import ModelOptions
-from rn_backend_openpi.statistics import Statistics
-from rn_backend_openpi.status_page import STATUS
+from rn_backend_openpi.statistics import STATUS, Statistics
 from roboneuron import (
     ForeignDataError,
     NotReadyError,
@@ -57,6 +56,9 @@ class SharedModelServer:
         path: path of the socket.
         idle_s: time without a robot after which the server ends; None for never.
         model: the model, not loaded; that of the options if None.
+
+    Attributes:
+        statistics: of its batches and answers.
     """
 
     def __init__(
@@ -79,7 +81,7 @@ class SharedModelServer:
         self._image_sizes: Mapping[str, tuple[int, int]] = {}
         self._failure: RoboNeuronError | None = None
         self._used_s = time.monotonic()
-        self._statistics = Statistics()
+        self.statistics = Statistics()
 
     def run(self, watch: HangWatch | None = None) -> int:
         """Serve until `stop`, or idle; returns the exit status. Only one server serves a path at a
@@ -106,7 +108,7 @@ class SharedModelServer:
         self.model.load()
         options = self._options
         self._batcher = Batcher(
-            self._statistics.timed(self.model.answer),
+            self.statistics.timed(self.model.answer),
             most=self.model.most,
             waiting=options.waiting,
             linger_s=options.linger_s,
@@ -204,19 +206,21 @@ class SharedModelServer:
         told: Document = {"protocol": PROTOCOL, "state": self._state, "pid": os.getpid()}
         if self._failure is not None:
             return told | messages.from_error(self._failure)
-        if self._state == READY:
-            spec = self.model.spec
-            told["cameras"] = list(spec.cameras)
-            told["optional_cameras"] = list(spec.optional_cameras)
-            told["horizon"] = spec.action_space.horizon
-            told["step_s"] = spec.action_space.step_s
-            told["most_committed"] = spec.max_committed_rows
-            told["takes_state"] = spec.takes_predicted_state
-            told["continues"] = self.model.continues_rows
-            told["image_sizes"] = {role: list(size) for role, size in self._image_sizes.items()}
-            if self.model.layout is not None:
-                told["interface"] = facts_of(self.model.layout)
-        return told
+        if self._state != READY:
+            return told
+        spec, layout = self.model.spec, self.model.layout
+        return {
+            **told,
+            "cameras": list(spec.cameras),
+            "optional_cameras": list(spec.optional_cameras),
+            "horizon": spec.action_space.horizon,
+            "step_s": spec.action_space.step_s,
+            "most_committed": spec.max_committed_rows,
+            "takes_state": spec.takes_predicted_state,
+            "continues": self.model.continues_rows,
+            "image_sizes": {role: list(size) for role, size in self._image_sizes.items()},
+            **({} if layout is None else {"interface": facts_of(layout)}),
+        }
 
     def space_on(self, robot: object) -> Document:
         """The control space of the model's chunks on an introduced robot (see `from_profile`), or
@@ -241,7 +245,7 @@ class SharedModelServer:
             "pid": os.getpid(),
             "clients": len(self._listener.clients),
             "waiting": 0 if self._batcher is None else self._batcher.waiting,
-            **self._statistics.values(),
+            **self.statistics.values(),
         }
         if self._failure is not None:
             own |= messages.from_error(self._failure)
@@ -252,7 +256,3 @@ class SharedModelServer:
         if self._batcher is None:
             raise NotReadyError("The shared model is being loaded.")
         self._batcher.submit(waiting)
-
-    def note(self, answer: Answer) -> None:
-        """Count an answer."""
-        self._statistics.note(answer)

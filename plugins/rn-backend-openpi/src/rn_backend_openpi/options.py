@@ -7,6 +7,7 @@ import json
 import logging
 from pathlib import Path
 from typing import Annotated, Literal, Self
+from urllib.parse import urlsplit
 
 from pydantic import AfterValidator, Field, model_validator
 
@@ -23,6 +24,8 @@ _RENAMED = {
     "connect_timeout_s": "start_timeout_s",
 }
 """Present name by the one of earlier releases, which is read until 0.2."""
+_PATHS = {"sglang": "/openpi/policy", "vllm-omni": "/v1/realtime/robot/openpi"}
+"""Paths of the engines' websockets."""
 _WIRE = "websocket 1"
 """Part of the name of a local server, so that no release finds the server of another one."""
 Identifier = Annotated[str, Field(pattern=r"^[a-z][a-z0-9-]*$", max_length=64)]
@@ -113,12 +116,12 @@ class PolicyOptions(InterfaceOptions, ModelOptions):
     address: Annotated[
         str | None,
         ConfigurationOnly(),
-        Field(pattern=r"^[^\s:]{1,253}:\d{1,5}$"),
+        Field(pattern=r"^(\[[0-9A-Fa-f:.]+(%\w+)?\]|[^\s:\[\]]{1,253}):\d{1,5}$"),
         AfterValidator(check_port),
     ] = Field(
         default=None,
-        description="a server of `roboneuron serve-policy`, `host:port`; `host` may be the name of "
-        "a machine of `roboneuron link`, whose keys are used without token_file",
+        description="a server of `roboneuron serve-policy`, `host:port` or `[IPv6]:port`; `host` "
+        "may be the name of a machine of `roboneuron link`, whose keys are used without token_file",
     )
     model: Annotated[Identifier | None, ConfigurationOnly()] = Field(
         default=None, description="name of the model at that address; optional if there is only one"
@@ -225,6 +228,19 @@ class PolicyOptions(InterfaceOptions, ModelOptions):
         own = self.of_the_model().model_dump(mode="json")
         named = json.dumps([_WIRE, own, self.idle_s], sort_keys=True)
         return hashlib.sha256(named.encode()).hexdigest()[:16]
+
+    @property
+    def server_url(self) -> str:
+        """The URL of a server elsewhere: with the path of the engine if it has none, or with the
+        model at an address.
+        """
+        if self.address is not None:
+            scheme = "ws" if self.ca_file is None else "wss"
+            return f"{scheme}://{self.address}/{self.model or ''}"
+        assert self.url is not None
+        if self.engine is None or urlsplit(self.url).path.strip("/"):
+            return self.url
+        return self.url.rstrip("/") + _PATHS[self.engine]
 
     @property
     def is_local(self) -> bool:

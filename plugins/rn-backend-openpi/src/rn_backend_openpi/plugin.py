@@ -47,13 +47,13 @@ when its server answers; a chunk that continues no rows is marked as such.
 COMMAND = CommandSpec(
     name="openpi-server",
     summary="serve-policy for the backend of a robot's configuration; of earlier releases",
-    target="rn_backend_openpi.command:OpenpiServerCommand",
+    target="rn_backend_openpi.serve_command:OpenpiServerCommand",
     requires=_MODULES,
 )
 MODEL_COMMAND = CommandSpec(
     name="shared-model",
     summary="serve the model of [plugins.shared] until Ctrl-C",
-    target="rn_backend_openpi.model_command:SharedModelCommand",
+    target="rn_backend_openpi.serve_command:SharedModelCommand",
 )
 SERVE_COMMAND = CommandSpec(
     name="serve-policy",

@@ -7,7 +7,6 @@ from __future__ import annotations
 import logging
 import os
 import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable
@@ -17,12 +16,13 @@ from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import InvalidHandshake
 
 from rn_backend_openpi.description import FAILED, LOADING, READY
+from rn_backend_openpi.links import spawn
 from rn_backend_openpi.listener import CountedConnection
 from rn_backend_openpi.messages import Document, from_error, raise_told
 from rn_backend_openpi.relay import carry, reach, turn_away
 from rn_backend_openpi.server_options import ServedModelOptions
 from rn_backend_openpi.server_process import STAY
-from rn_backend_openpi.status_page import page
+from rn_backend_openpi.statistics import page
 from roboneuron import (
     ConfigurationError,
     ForeignDataError,
@@ -42,7 +42,6 @@ _FIRST_PAUSE_S, _LAST_PAUSE_S = 0.5, 30.0
 _WELL_S = 60.0
 """Time without a fault after which the pauses are reset."""
 _END_S = 20.0
-_MOST_LOG_BYTES = 10_000_000
 _MOST_PATH_BYTES = 107
 """Size of a path in Linux's sockaddr_un, without the final zero."""
 
@@ -131,12 +130,13 @@ class ModelProcess:
             begun_s = time.monotonic()
             self._state = LOADING
             try:
-                self._process = self._spawn()
+                self._process = spawn(self._options, self.path, STAY)
             except OSError as error:
                 log.error("The model %s cannot be started: %s", self.name, error)
                 refusal = NotReadyError(f"The model {self.name!r} cannot be started: {error}.")
                 self._failure = from_error(refusal)
             else:
+                log.info("The model %s is process %d.", self.name, self._process.pid)
                 self._watch(self._process)
             if self._end.is_set():
                 break
@@ -148,38 +148,6 @@ class ModelProcess:
             self._end.wait(pause_s)
             pause_s = min(2 * pause_s, _LAST_PAUSE_S)
             self._restarts += 1
-
-    def _spawn(self) -> subprocess.Popen[str]:
-        if self.log_path.exists() and self.log_path.stat().st_size > _MOST_LOG_BYTES:
-            self.log_path.replace(self.log_path.with_suffix(".log.1"))
-        words = [
-            str(self._options.python or sys.executable),
-            "-P",
-            "-m",
-            "rn_backend_openpi.server_process",
-            STAY,
-            str(self.path),
-        ]
-        with self.log_path.open("a") as output:
-            process = subprocess.Popen(
-                words,
-                stdin=subprocess.PIPE,
-                stdout=output,
-                stderr=output,
-                text=True,
-                env={**os.environ, **self._options.environment},
-                start_new_session=True,  # Ctrl-C ends the supervisor, which ends this process
-            )
-        assert process.stdin is not None
-        try:
-            process.stdin.write(
-                self._options.of_the_model().model_dump_json(exclude_unset=True) + "\n"
-            )
-            process.stdin.flush()
-        except BrokenPipeError:
-            pass  # it has died already, which is detected next
-        log.info("The model %s is process %d.", self.name, process.pid)
-        return process
 
     def _watch(self, process: subprocess.Popen[str]) -> None:
         """Monitor a process until it ends, or `stop` is called."""

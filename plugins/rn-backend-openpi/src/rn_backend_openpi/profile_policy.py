@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rn_backend_openpi.description import ServerDescription, agreed, is_arena
-from rn_backend_openpi.engines import for_engine
-from rn_backend_openpi.interface import layout_of
+from rn_backend_openpi.interface import engine_layout
 from rn_backend_openpi.layout import Layout
 from rn_backend_openpi.options import PolicyOptions
 from rn_backend_openpi.plugin import MOST_ROWS
@@ -49,7 +48,7 @@ class ProfilePolicy:
 
     def __init__(self, options: PolicyOptions) -> None:
         self._options = options
-        self._layout = for_engine(layout_of(options), options)
+        self._layout = engine_layout(options)
         self._is_arena = False
         self._episode, self._is_new = uuid.uuid4().hex, False
 

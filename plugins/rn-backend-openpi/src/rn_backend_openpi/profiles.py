@@ -24,7 +24,7 @@ class Preset:
         state: terms by key.
         rows: joint rows, without names; None for those of the TCP profile of the same name in
             `rn_vla.tcp_profiles`.
-        size_px: height and width of the images.
+        size_px: height and width of the images; None for any.
         axes: order of the images' axes.
         optional: roles that may be missing, unless the server's metadata require them.
         joints: number of joints of each arm; 0 for policies that move the TCP.
@@ -33,7 +33,7 @@ class Preset:
     images: Mapping[str, str]
     state: Keys
     rows: JointRows | None = None
-    size_px: Size = (224, 224)
+    size_px: Size | None = (224, 224)
     axes: Axes = "hwc"
     optional: frozenset[str] = frozenset()
     joints: int = 0
@@ -141,4 +141,26 @@ docs/norm_stats.md. "ur5e": likewise, with the keys of openpi examples/ur5. "alo
 Hz, images with the colour axis first in a map of their own, gripper 1 open; the server decides
 whether `adapt_to_pi` is set and whether the network yields deltas. Source: openpi
 examples/aloha_sim, policies/aloha_policy.py.
+"""
+STATE_KEYS = MappingProxyType({"sglang": "observation.state", "vllm-omni": "state"})
+"""Key of the whole state at the engines that serve LeRobot checkpoints bare over openpi's
+websocket: state and rows are in the network's units, which the client converts.
+
+Sources (public definitions, read 2026-11): SGLang
+multimodal_gen/runtime/entrypoints/action/{openpi,api,protocol,ws_utils}.py and its cookbook page of
+pi0.5; vLLM-Omni vllm_omni/entrypoints/openpi, docs/serving/openpi_api.md, deploy/pi0.yaml.
+"""
+_IMAGES = "observation.images."
+CAMERAS: Mapping[str, Mapping[str, str]] = MappingProxyType(
+    {
+        "": {
+            "primary": _IMAGES + "base_0_rgb",
+            "wrist": _IMAGES + "left_wrist_0_rgb",
+            "right_wrist": _IMAGES + "right_wrist_0_rgb",
+        },
+        "libero": {"primary": _IMAGES + "image", "wrist": _IMAGES + "image2"},
+    }
+)
+"""Keys of these engines' images by profile and camera role: those of the base models of pi0 and
+pi0.5, which most checkpoints made from them have, and those of LeRobot's checkpoints for LIBERO.
 """

@@ -19,14 +19,12 @@ from websockets.frames import CloseCode
 from rn_backend_openpi.description import FAILED, LOADING, READY
 from rn_backend_openpi.front import MakeModel
 from rn_backend_openpi.listener import send
-from rn_backend_openpi.messages import RESERVED, Document, from_error
+from rn_backend_openpi.messages import Document, from_error
 from rn_backend_openpi.relay import turn_away
 from rn_backend_openpi.server_options import RayOptions, ServedModelOptions
-from rn_backend_openpi.wire import unpack
 from roboneuron import (
     BackendSpec,
     ConfigurationError,
-    ForeignDataError,
     MissingDependencyError,
     NotReadyError,
 )
@@ -40,7 +38,7 @@ log = logging.getLogger(__name__)
 _ROUTER = "ray.serve.experimental.consistent_hash_router.ConsistentHashRouter"
 """Sends the requests of one session to one replica, as long as it lives."""
 _LONGEST_S = 60.0
-"""Time for an answer to a client that states no deadline."""
+"""Longest time for an answer; the replica ends at the deadline of the request."""
 _ATTEMPTS = 2
 """How many replicas one observation may be sent to: an answer changes nothing at a replica."""
 _MOST_OPEN = 4
@@ -250,10 +248,10 @@ class _RobotLine:
                 task.cancel()
 
     async def _answer(self, data: str | bytes, number: int) -> None:
-        """Answer one request; without an answer by its deadline it gets none."""
+        """Answer one request."""
         begun_s = time.monotonic()
         try:
-            async with asyncio.timeout(_left_s(data)):
+            async with asyncio.timeout(_LONGEST_S):
                 told = await self._asked(data, number)
         except TimeoutError:
             return
@@ -278,15 +276,3 @@ class _RobotLine:
             else:
                 return told
         return None
-
-
-def _left_s(data: str | bytes) -> float:
-    """The time that a request leaves for its answer [s]; the replica judges a malformed one."""
-    try:
-        request = unpack(data) if isinstance(data, bytes) else {}
-        own = request.get(RESERVED, {}) if isinstance(request, dict) else {}
-        left_s = own.get("left_s", _LONGEST_S) if isinstance(own, dict) else _LONGEST_S
-    except ForeignDataError:
-        return _LONGEST_S
-    is_number = isinstance(left_s, float | int) and 0.0 < left_s <= _LONGEST_S
-    return float(left_s) if is_number else _LONGEST_S

@@ -4,8 +4,9 @@ back.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal, Protocol
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 
@@ -35,20 +36,27 @@ JointKind = Literal["joint_position", "joint_velocity", "joint_delta"]
 ONE_ARM = ("",)
 
 
-class Rows(Protocol):
-    """Rows of one kind of policy. Arrays are float64, openings 0 closed .. 1 open."""
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DeltaRows:
+    """Rows that move the TCP of one arm. Arrays of all rows are float64, openings 0 closed .. 1
+    open.
 
-    @property
-    def space(self) -> ControlSpace:
-        """Control space of a row in the contract."""
+    Attributes:
+        layout: meaning of the values.
+        base_position_m: position of the robot's base in the frame of the positions.
+        space: control space of a row in the contract.
+        width: number of values of a served row.
+    """
+
+    layout: ActionLayout
+    base_position_m: F64
+    space: ControlSpace = EE_DELTA
+    width: int = ACTION_SIZE
 
     @property
     def step_s(self) -> float:
         """Time between two rows [s]."""
-
-    @property
-    def width(self) -> int:
-        """Number of values of a served row."""
+        return self.layout.step_s
 
     def to_contract(self, served: F64, observation: Observation) -> F64:
         """Convert served rows (H, width), finite, to rows of `space` (H, n).
@@ -57,31 +65,6 @@ class Rows(Protocol):
             UngroundedError: a measured pose is needed and missing.
             UnsafeError: a row is no rotation.
         """
-
-    def from_contract(self, rows: F64, observation: Observation) -> F64:
-        """The inverse of `to_contract`, except for clipped values; raises the same errors."""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class DeltaRows:
-    """Rows that move the TCP of one arm."""
-
-    layout: ActionLayout
-    base_position_m: F64
-
-    @property
-    def space(self) -> ControlSpace:
-        return EE_DELTA
-
-    @property
-    def step_s(self) -> float:
-        return self.layout.step_s
-
-    @property
-    def width(self) -> int:
-        return ACTION_SIZE
-
-    def to_contract(self, served: F64, observation: Observation) -> F64:
         return self.layout.to_contract(
             served,
             state=np.zeros(0),
@@ -90,6 +73,7 @@ class DeltaRows:
         )
 
     def from_contract(self, rows: F64, observation: Observation) -> F64:
+        """The inverse of `to_contract`, except for clipped values; raises the same errors."""
         return self.layout.from_contract(
             rows,
             state=np.zeros(0),
@@ -98,134 +82,150 @@ class DeltaRows:
         )
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class PoseRows:
-    """Poses of the TCP, arm after arm: position, rotation, gripper.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RowsByArm(ABC):
+    """Rows of some values and the gripper of each arm in turn; as `DeltaRows`.
+
+    Attributes:
+        kind: of the control space.
+        gripper: meaning of an arm's last value; "none" for no gripper.
+        rate_hz: rows per second.
+        arms: names of the arms; one empty name for a robot with one arm.
+    """
+
+    kind: str
+    gripper: GripperValue
+    rate_hz: float
+    arms: tuple[str, ...] = ONE_ARM
+
+    @property
+    def space(self) -> ControlSpace:
+        """Control space of a row in the contract. Raises ConfigurationError for joints that do not
+        fit the arms.
+        """
+        channels: list[Channel] = []
+        for arm in self.arms:
+            channels += self._channels(arm)
+            if self.gripper != "none":
+                channels.append(Channel(name=GRIPPER, unit="opening", arm=arm))
+        return ControlSpace(kind=self.kind, channels=tuple(channels), rate_hz=self.rate_hz)
+
+    @property
+    def step_s(self) -> float:
+        """Time between two rows [s]."""
+        return 1.0 / self.rate_hz
+
+    @property
+    def width(self) -> int:
+        """Number of values of a served row."""
+        return len(self.arms) * (self._values + (self.gripper != "none"))
+
+    def to_contract(self, served: F64, observation: Observation) -> F64:
+        """See `DeltaRows`."""
+        columns: list[F64] = []
+        for part in np.split(served, len(self.arms), axis=1):
+            values, gripper = np.split(part, [self._values], axis=1)
+            columns.append(self._to_contract(values))
+            if self.gripper != "none":
+                columns.append(np.clip(to_opening(gripper, self.gripper), 0.0, 1.0))
+        return np.hstack(columns)
+
+    def from_contract(self, rows: F64, observation: Observation) -> F64:
+        """See `DeltaRows`."""
+        has_gripper, columns = self.gripper != "none", list[F64]()
+        for part in np.split(rows, len(self.arms), axis=1):
+            values, openings = np.split(part, [part.shape[1] - has_gripper], axis=1)
+            columns.append(self._from_contract(values))
+            if has_gripper:
+                columns.append(from_opening(openings, self.gripper))
+        return np.hstack(columns)
+
+    @property
+    @abstractmethod
+    def _values(self) -> int:
+        """Number of values of one arm, without the gripper."""
+
+    @abstractmethod
+    def _channels(self, arm: str) -> list[Channel]:
+        """Channels of one arm, without the gripper."""
+
+    @abstractmethod
+    def _to_contract(self, values: F64) -> F64: ...
+
+    @abstractmethod
+    def _from_contract(self, values: F64) -> F64: ...
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PoseRows(RowsByArm):
+    """Poses of the TCP: position, rotation.
 
     Attributes:
         rotation: "quaternion" x y z w, "quaternion_wxyz", "rotvec" [rad], "rpy" [rad] about fixed
             axes, "rot6d" the first two columns of the rotation matrix one after the other,
             "rot6d_rows" its first two rows.
-        gripper: meaning of an arm's last value; "none" for no gripper.
-        rate_hz: rows per second.
-        arms: names of the arms; one empty name for a robot with one arm.
         base_position_m: position of the robot's base in the frame of the positions.
     """
 
     rotation: PoseRotation
-    gripper: GripperValue
-    rate_hz: float
-    base_position_m: F64
-    arms: tuple[str, ...] = ONE_ARM
+    kind: str = "ee_pose"
+    base_position_m: F64 = field(default_factory=lambda: np.zeros(3))
 
     @property
-    def space(self) -> ControlSpace:
-        return ControlSpace(
-            kind="ee_pose",
-            channels=_pose_channels(self.arms, has_gripper=self.gripper != "none"),
-            rate_hz=self.rate_hz,
-        )
+    def _values(self) -> int:
+        return 3 + ROTATION_VALUES[self.rotation]
 
-    @property
-    def step_s(self) -> float:
-        return 1.0 / self.rate_hz
+    def _channels(self, arm: str) -> list[Channel]:
+        units = {**dict.fromkeys("xyz", "m"), **dict.fromkeys(("qx", "qy", "qz", "qw"), "1")}
+        return [Channel(name=x, unit=unit, frame="base", arm=arm) for x, unit in units.items()]
 
-    @property
-    def width(self) -> int:
-        return len(self.arms) * self._part
-
-    @property
-    def _part(self) -> int:
-        """Number of values of one arm."""
-        return 3 + ROTATION_VALUES[self.rotation] + (self.gripper != "none")
-
-    def to_contract(self, served: F64, observation: Observation) -> F64:
-        parts = np.split(served, len(self.arms), axis=1)
-        return np.hstack([self._to_contract(part) for part in parts])
-
-    def _to_contract(self, part: F64) -> F64:
-        end = 3 + ROTATION_VALUES[self.rotation]
+    def _to_contract(self, values: F64) -> F64:
         quaternions = [
-            quaternion_from_matrix(matrix_of(row, self.rotation)) for row in part[:, 3:end]
+            quaternion_from_matrix(matrix_of(row, self.rotation)) for row in values[:, 3:]
         ]
-        columns = [part[:, :3] - self.base_position_m, np.array(quaternions)]
-        if self.gripper != "none":
-            columns.append(np.clip(to_opening(part[:, end:], self.gripper), 0.0, 1.0))
-        return np.hstack(columns)
+        return np.hstack([values[:, :3] - self.base_position_m, np.array(quaternions)])
 
-    def from_contract(self, rows: F64, observation: Observation) -> F64:
-        parts = np.split(rows, len(self.arms), axis=1)
-        return np.hstack([self._from_contract(part) for part in parts])
-
-    def _from_contract(self, part: F64) -> F64:
-        rotations = [rotation_of(row, self.rotation) for row in part[:, 3:7]]
-        columns = [part[:, :3] + self.base_position_m, np.array(rotations)]
-        if self.gripper != "none":
-            columns.append(from_opening(part[:, 7:], self.gripper))
-        return np.hstack(columns)
+    def _from_contract(self, values: F64) -> F64:
+        rotations = [rotation_of(row, self.rotation) for row in values[:, 3:]]
+        return np.hstack([values[:, :3] + self.base_position_m, np.array(rotations)])
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class JointRows:
-    """Joints and gripper of each arm in turn.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class JointRows(RowsByArm):
+    """Joints of each arm; each has the same number.
 
     Attributes:
         kind: "joint_position" [rad], "joint_velocity" [rad/s], "joint_delta" [rad] relative to the
             joints measured with the observation; the gripper is absolute in each.
         names: the robot's names of the policy's joints, in the policy's order; empty in a preset.
-        gripper: as of `PoseRows`.
-        rate_hz: rows per second.
-        arms: as of `PoseRows`; each has the same number of joints.
         limit: joint values are clipped to -limit..limit; 0 for none.
         scale: contract units (rad, rad/s) per unit of a joint value.
     """
 
-    kind: JointKind
-    gripper: GripperValue
-    rate_hz: float
     names: tuple[str, ...] = ()
-    arms: tuple[str, ...] = ONE_ARM
     limit: float = 0.0
     scale: float = 1.0
 
     @property
-    def space(self) -> ControlSpace:
-        return ControlSpace(
-            kind=self.kind,
-            channels=_joint_channels(
-                self.kind, self.names, self.arms, has_gripper=self.gripper != "none"
-            ),
-            rate_hz=self.rate_hz,
-        )
+    def _values(self) -> int:
+        return len(self.names) // len(self.arms)
 
-    @property
-    def step_s(self) -> float:
-        return 1.0 / self.rate_hz
+    def _channels(self, arm: str) -> list[Channel]:
+        unit = "rad/s" if self.kind == "joint_velocity" else "rad"
+        names = joints_by_arm(self.names, self.arms)[arm]
+        return [Channel(name=name, unit=unit, arm=arm) for name in names]
 
-    @property
-    def width(self) -> int:
-        return len(self.names) + len(self.arms) * (self.gripper != "none")
-
-    def to_contract(self, served: F64, observation: Observation) -> F64:
-        rows, at = served.copy(), self._grippers()
-        joints = served[:, ~at]
+    def _to_contract(self, values: F64) -> F64:
         if self.limit:
-            joints = np.clip(joints, -self.limit, self.limit)
-        rows[:, ~at] = joints * self.scale
-        rows[:, at] = np.clip(to_opening(served[:, at], self.gripper), 0.0, 1.0)
-        return rows
+            values = np.clip(values, -self.limit, self.limit)
+        return values * self.scale
 
-    def from_contract(self, rows: F64, observation: Observation) -> F64:
-        served, at = rows.copy(), self._grippers()
-        served[:, ~at] = rows[:, ~at] / self.scale
-        served[:, at] = from_opening(rows[:, at], self.gripper)
-        return served
+    def _from_contract(self, values: F64) -> F64:
+        return values / self.scale
 
-    def _grippers(self) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-        """bool (width,), True at the grippers."""
-        joints = len(self.names) // len(self.arms)
-        arm = [False] * joints + [True] * (self.gripper != "none")
-        return np.array(arm * len(self.arms))
+
+Rows = DeltaRows | RowsByArm
+"""Rows of one kind of policy."""
 
 
 def joints_by_arm(names: tuple[str, ...], arms: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
@@ -242,27 +242,3 @@ def joints_by_arm(names: tuple[str, ...], arms: tuple[str, ...]) -> dict[str, tu
             hint="Name them in the policy's order, from the base to the tip of each arm.",
         )
     return {arm: names[i * each : (i + 1) * each] for i, arm in enumerate(arms)}
-
-
-def _joint_channels(
-    kind: str, names: tuple[str, ...], arms: tuple[str, ...], *, has_gripper: bool
-) -> tuple[Channel, ...]:
-    """Channels of joints and gripper of each arm in turn. Raises as `joints_by_arm`."""
-    unit = "rad/s" if kind == "joint_velocity" else "rad"
-    channels: list[Channel] = []
-    for arm, part in joints_by_arm(names, arms).items():
-        channels += [Channel(name=name, unit=unit, arm=arm) for name in part]
-        if has_gripper:
-            channels.append(Channel(name=GRIPPER, unit="opening", arm=arm))
-    return tuple(channels)
-
-
-def _pose_channels(arms: tuple[str, ...], *, has_gripper: bool) -> tuple[Channel, ...]:
-    """Channels of the pose and gripper of each arm in turn."""
-    channels: list[Channel] = []
-    for arm in arms:
-        channels += [Channel(name=x, unit="m", frame="base", arm=arm) for x in "xyz"]
-        channels += [Channel(name=f"q{x}", unit="1", frame="base", arm=arm) for x in "xyzw"]
-        if has_gripper:
-            channels.append(Channel(name=GRIPPER, unit="opening", arm=arm))
-    return tuple(channels)

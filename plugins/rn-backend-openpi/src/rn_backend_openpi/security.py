@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import hmac
 import ipaddress
 import logging
@@ -17,7 +16,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 from urllib.parse import urlsplit
 
-from rn_backend_openpi.engines import url_of
 from rn_backend_openpi.options import PolicyOptions
 from rn_backend_openpi.server_options import ListenOptions
 from roboneuron import (
@@ -102,14 +100,6 @@ def make_token(path: Path) -> str:
     return read_token(path)
 
 
-def is_same_token(one: str, other: str) -> bool:
-    """Compare in constant time."""
-    first, second = (
-        hashlib.sha256(text.encode(errors="replace")).digest() for text in (one, other)
-    )
-    return hmac.compare_digest(first, second)
-
-
 def has_link_keys(options: PolicyOptions) -> bool:
     """True if the connection uses the keys of `roboneuron link`."""
     return options.address is not None and not (options.token_file or options.api_key_variable)
@@ -125,7 +115,7 @@ def place_of(options: PolicyOptions) -> ServerAddress:
     """
     if has_link_keys(options):
         return _linked_place(options)
-    url, token = url_of(options), _token_of(options)
+    url, token = options.server_url, _token_of(options)
     try:
         parts = urlsplit(url)
         host, port = parts.hostname, parts.port
@@ -187,18 +177,17 @@ def link_stamps() -> Sequence[object]:
         from rn_link.machine import link_folder
     except ModuleNotFoundError:
         return ()
-    return tuple(_stamp(link_folder() / name) for name in _LINK_FILES)
-
-
-def _stamp(path: Path) -> int:
-    with suppress(OSError):
-        return path.stat().st_mtime_ns
-    return 0
+    stamps = []
+    for name in _LINK_FILES:
+        with suppress(OSError):
+            stamps.append((name, (link_folder() / name).stat().st_mtime_ns))
+    return tuple(stamps)
 
 
 def _linked_place(options: PolicyOptions) -> ServerAddress:
     assert options.address is not None
-    host, _, port = options.address.rpartition(":")
+    named, _, port = options.address.rpartition(":")
+    host = named.strip("[]")
     folder, machine = _link()
     from rn_link.tls import tls_context
 
@@ -211,7 +200,7 @@ def _linked_place(options: PolicyOptions) -> ServerAddress:
             hint=f"Name a paired machine. {_PAIR}",
         )
     context = tls_context(machine, folder, found[0])
-    return ServerAddress(url_of(options), machine.peers[found[0]].address, int(port), context)
+    return ServerAddress(options.server_url, machine.peers[found[0]].address, int(port), context)
 
 
 def _link() -> tuple[Path, Machine]:
@@ -234,12 +223,6 @@ def _link() -> tuple[Path, Machine]:
     return folder, machine
 
 
-def _context(protocol: int) -> ssl.SSLContext:
-    context = ssl.SSLContext(protocol)
-    context.minimum_version = ssl.TLSVersion.TLSv1_3
-    return context
-
-
 class Guard:
     """Admission to a server. Raises ConfigurationError for unsafe options.
 
@@ -253,30 +236,13 @@ class Guard:
         self._stamps: Sequence[object] = ()
         self._context: ssl.SSLContext | None = None
         if options.keys != "link":
-            self._check_listening(options)
+            _check_listening(options)
             if options.token_file is not None:
                 self.token = make_token(options.token_file)
             self._context = _server_context(options)
         else:
             self._stamps = link_stamps()
             self._context = _member_context()
-
-    def _check_listening(self, options: ListenOptions) -> None:
-        """Raise ConfigurationError if other machines could connect without a token or unencrypted,
-        unless that is wanted.
-        """
-        needed = {"token_file": options.token_file, "certificate": options.certificate}
-        lacks = " and ".join(name for name, given in needed.items() if given is None)
-        if not lacks or is_loopback(options.host):
-            return
-        if not options.insecure:
-            raise ConfigurationError(
-                f"{options.host} can be reached from other machines, and there is no {lacks}: a "
-                "token would be sent unencrypted, or anybody could read the images.",
-                hint=f"Set both, listen on 127.0.0.1, choose insecure = true, or use keys = "
-                f"'link'. {_PAIR}",
-            )
-        log.warning("%s can be reached from other machines without %s.", options.host, lacks)
 
     def has_changed(self) -> bool:
         """Load changes made by `roboneuron link`; returns True if there were any. Machines that are
@@ -304,7 +270,10 @@ class Guard:
 
     def is_admitted(self, shown: Sequence[str]) -> bool:
         """True if these headers `Authorization` hold the token, or none is needed."""
-        return not self.token or is_same_token(" ".join(shown), authorization(self.token))
+        given, wanted = (
+            text.encode(errors="replace") for text in (" ".join(shown), authorization(self.token))
+        )
+        return not self.token or hmac.compare_digest(given, wanted)
 
 
 def authorization(token: str) -> str:
@@ -312,10 +281,29 @@ def authorization(token: str) -> str:
     return f"Api-Key {token}"
 
 
+def _check_listening(options: ListenOptions) -> None:
+    """Raise ConfigurationError if other machines could connect without a token or unencrypted,
+    unless that is wanted.
+    """
+    needed = {"token_file": options.token_file, "certificate": options.certificate}
+    lacks = " and ".join(name for name, given in needed.items() if given is None)
+    if not lacks or is_loopback(options.host):
+        return
+    if not options.insecure:
+        raise ConfigurationError(
+            f"{options.host} can be reached from other machines, and there is no {lacks}: a "
+            "token would be sent unencrypted, or anybody could read the images.",
+            hint=f"Set both, listen on 127.0.0.1, choose insecure = true, or use keys = "
+            f"'link'. {_PAIR}",
+        )
+    log.warning("%s can be reached from other machines without %s.", options.host, lacks)
+
+
 def _server_context(options: ListenOptions) -> ssl.SSLContext | None:
     if options.certificate is None:
         return None
-    context = _context(ssl.PROTOCOL_TLS_SERVER)
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.minimum_version = ssl.TLSVersion.TLSv1_3
     try:
         foreign.read_bytes(options.key or options.certificate, is_secret=True)
         context.load_cert_chain(options.certificate, options.key)

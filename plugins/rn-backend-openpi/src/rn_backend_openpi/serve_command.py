@@ -1,4 +1,6 @@
-"""The command `roboneuron serve-policy`."""
+"""The commands `roboneuron serve-policy`, `shared-model`, and `openpi-server` of earlier
+releases.
+"""
 
 from __future__ import annotations
 
@@ -9,35 +11,37 @@ import signal
 import sys
 import tomllib
 from argparse import ArgumentParser, Namespace
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 from string import Template
 from typing import TYPE_CHECKING
 
-from roboneuron import ConfigurationError
+from roboneuron import BackendSpec, ConfigurationError
 
 if TYPE_CHECKING:
     from rn_backend_openpi.front import MakeModel
     from rn_backend_openpi.messages import Document
     from rn_backend_openpi.server_options import PolicyServerOptions
+    from roboneuron.feature import Config, Registry
 
-_COLUMNS = (
-    ("model", "name"),
-    ("state", "state"),
-    ("pid", "pid"),
-    ("robots", "clients"),
-    ("batches", "batches"),
-    ("ms median", "model_ms_median"),
-    ("ms p99", "model_ms_p99"),
-    ("refused", "refused"),
-    ("lost", "lost"),
-    ("restarts", "restarts"),
-)
-
-
+_COLUMNS = {
+    "model": "name",
+    "state": "state",
+    "pid": "pid",
+    "robots": "clients",
+    "batches": "batches",
+    "ms median": "model_ms_median",
+    "ms p99": "model_ms_p99",
+    "refused": "refused",
+    "lost": "lost",
+    "restarts": "restarts",
+}
 _FILES = {"unit": "serve-policy.service", "containerfile": "Containerfile"}
+_OF_THE_MODEL = ("waiting", "most", "linger_s", "stateless")
+_NEW_NAMES = {"certificate_key": "key", "clients": "robots"}
+log = logging.getLogger(__name__)
 
 
 class ServePolicyCommand:
@@ -82,24 +86,91 @@ class ServePolicyCommand:
         if arguments.action in _FILES:
             print(deployment_file(arguments.action, arguments.config), end="")
             return 0
-        options = read_options(arguments)
+        options = _read_options(arguments)
         name = name_of(arguments.config)
         if arguments.action == "status":
             from rn_backend_openpi.links import private_directory
-            from rn_backend_openpi.status_page import ask_status
+            from rn_backend_openpi.statistics import ask_status
 
             told = ask_status(private_directory(options.listen.directory) / f"{name}.sock")
-            print(json.dumps(told, indent=2) if arguments.json else table_of(told))
+            print(json.dumps(told, indent=2) if arguments.json else _table_of(told))
             return 0
         if arguments.engine == "processes":
-            return run_server(options, name)
+            return _run_server(options, name)
         from rn_backend_openpi.ray_engine import ray_models
 
         with ray_models(options.ray) as make_model:
-            return run_server(options, name, make_model=make_model)
+            return _run_server(options, name, make_model=make_model)
 
 
-def run_server(
+class SharedModelCommand:
+    """Serve the model of [plugins.shared] in this process until Ctrl-C or SIGTERM.
+
+    Optional: the first robot starts a server automatically. Use it under a service manager, or to
+    load the model before any robot starts.
+    """
+
+    def configure(self, parser: ArgumentParser) -> None:
+        """Add the arguments."""
+        parser.add_argument(
+            "--config", type=Path, metavar="FILE", help="a roboneuron.toml with [plugins.shared]"
+        )
+
+    def run(self, arguments: Namespace) -> int:
+        """Serve."""
+        from rn_backend_openpi.links import socket_of
+        from rn_backend_openpi.options import PolicyOptions
+        from rn_backend_openpi.plugin import SHARED
+        from rn_backend_openpi.server_process import serve
+        from roboneuron.command import load_config
+        from roboneuron.feature import loading
+
+        options = loading.load_options(SHARED, load_config(arguments.config).options(SHARED.name))
+        assert isinstance(options, PolicyOptions)
+        logging.getLogger("rn_backend_openpi").setLevel(logging.INFO)
+        return serve(options.of_the_model(), socket_of(options), None)
+
+
+class OpenpiServerCommand:
+    """Serve the backend of [inference] over openpi's websocket until Ctrl-C or SIGTERM.
+
+    Of earlier releases: `serve-policy` with a model that has an `interface` does the same.
+    """
+
+    def configure(self, parser: ArgumentParser) -> None:
+        """Add the arguments."""
+        parser.add_argument(
+            "--config",
+            type=Path,
+            metavar="FILE",
+            help="a roboneuron.toml with [robot], [inference] and [plugins.openpi]",
+        )
+        parser.add_argument(
+            "--host", help="address to listen on (default: as configured, else 127.0.0.1)"
+        )
+        parser.add_argument(
+            "--port", type=int, help="port, 0 for any free one (default: as configured, else 8000)"
+        )
+
+    def run(self, arguments: Namespace) -> int:
+        """Serve."""
+        from rn_backend_openpi.listener import address_of
+        from roboneuron.command import discover, load_config
+
+        log.warning("openpi-server is old: serve-policy serves a model with an `interface` alike.")
+        registry = discover()
+        served = served_options(load_config(arguments.config, registry), registry, arguments)
+        scheme = "ws" if served.listen.certificate is None else "wss"
+        (name,) = served.models
+
+        def tell(port: int) -> None:
+            url = f"{scheme}://{address_of(served.listen.host, port)}"
+            print(f"Policy server: {url} (backend {name})", flush=True)
+
+        return _run_server(served, name_of(arguments.config or Path("roboneuron.toml")), tell)
+
+
+def _run_server(
     options: PolicyServerOptions,
     name: str,
     tell: Callable[[int], object] = lambda port: None,
@@ -142,12 +213,8 @@ def deployment_file(action: str, config: Path) -> str:
     )
 
 
-def read_options(arguments: Namespace) -> PolicyServerOptions:
-    """Options from the file and the command line.
-
-    Raises:
-        ConfigurationError: the file cannot be read, or is invalid.
-    """
+def _read_options(arguments: Namespace) -> PolicyServerOptions:
+    """Options from the file and the command line. Raises ConfigurationError."""
     path: Path = arguments.config
     try:
         tables = tomllib.loads(path.read_text(encoding="utf-8"))
@@ -156,15 +223,19 @@ def read_options(arguments: Namespace) -> PolicyServerOptions:
             f"{path} cannot be read: {error}.",
             hint="It holds [listen] and a [models.NAME] for each model.",
         ) from error
-    given = {key: getattr(arguments, key) for key in ("host", "port")}
     listen = tables.get("listen", {})
     if isinstance(listen, dict):
-        chosen = {key: value for key, value in given.items() if value is not None}
-        tables["listen"] = {**listen, **chosen}
-    return options_of(tables, path.name)
+        tables["listen"] = {**listen, **_chosen(arguments)}
+    return _options_of(tables, path.name)
 
 
-def options_of(tables: dict[str, object], section: str) -> PolicyServerOptions:
+def _chosen(arguments: Namespace) -> dict[str, object]:
+    """What the command line says about the address."""
+    given = {name: getattr(arguments, name) for name in ("host", "port")}
+    return {name: value for name, value in given.items() if value is not None}
+
+
+def _options_of(tables: Mapping[str, object], section: str) -> PolicyServerOptions:
     """The options in the tables of a server's file. Raises ConfigurationError, naming the section
     and the option.
     """
@@ -180,28 +251,71 @@ def options_of(tables: dict[str, object], section: str) -> PolicyServerOptions:
     return options
 
 
+def served_options(config: Config, registry: Registry, arguments: Namespace) -> PolicyServerOptions:
+    """The options of a server of the backend that a robot's configuration names, with
+    [plugins.openpi] as the interface and its table `server`.
+
+    Args:
+        config: its [robot], [inference] and options of plugins are read.
+        registry: installed plugins.
+        arguments: its host and port come first.
+
+    Raises:
+        ConfigurationError: no backend is named, or an option is wrong.
+    """
+    from rn_backend_openpi.interface_options import InterfaceOptions
+    from rn_backend_openpi.plugin import BACKEND
+
+    inference, tables = config.inference, config.options(BACKEND.name)
+    if inference is None or inference.backend == BACKEND.name:
+        raise ConfigurationError(
+            "The configuration's [inference] names no backend that could be served: 'openpi' is "
+            "itself a client of a server.",
+            hint="Name the backend that holds the model in [inference].",
+        )
+    spec = registry.get(BackendSpec, inference.backend)
+    own = tables.get("server", {})
+    server = {**(own if isinstance(own, dict) else {}), **_chosen(arguments)}
+    of_the_model = {name: server.pop(name) for name in _OF_THE_MODEL if name in server}
+    of_interface = InterfaceOptions.model_fields.keys() & tables.keys()
+    model = {
+        "backend": spec.name,
+        "checkpoint": inference.checkpoint,
+        "options": dict(config.options(spec.name)),
+        "runtime": inference.runtime,
+        "runtime_options": dict(config.options(inference.runtime or spec.default_runtime or "")),
+        "acceleration": inference.acceleration,
+        "acceleration_options": dict(config.options(inference.acceleration or "")),
+        "interface": {name: tables[name] for name in of_interface} | {"robot": config.robot.name},
+        **of_the_model,
+    }
+    listen = {
+        "port": 8000,
+        "robots": 16,
+        "keys": "none" if server.get("token_file") is None else "token",
+        **{_NEW_NAMES.get(name, name): value for name, value in server.items()},
+    }
+    given = {"listen": listen, "models": {spec.name: model}}
+    return _options_of(given, "plugins.openpi.server")
+
+
 def name_of(path: Path) -> str:
     """Name of the server of a file: the same for every process that names the file."""
     digest = hashlib.sha256(str(path.resolve()).encode()).hexdigest()
     return f"policies-{digest[:8]}"
 
 
-def table_of(status: Document) -> str:
+def _table_of(status: Document) -> str:
     """A status as a table for people."""
-    rows = [[title for title, _ in _COLUMNS]]
-    for name, model in status["models"].items():
-        known = {"name": name, **model}
-        rows.append([_cell(known.get(key)) for _, key in _COLUMNS])
-    widths = [max(len(row[i]) for row in rows) for i in range(len(_COLUMNS))]
+    models = {name: {"name": name, **model} for name, model in status["models"].items()}
+    rows = [list(_COLUMNS)]
+    rows += [[_cell(model.get(key)) for key in _COLUMNS.values()] for model in models.values()]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = [
         f"{status['address']} (keys: {status['keys']}), {status['robots']} robots, "
         f"{status['refused_connections']} connections refused",
         *("  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)) for row in rows),
-    ]
-    lines += [
-        f"{name}: {model['failure']}"
-        for name, model in status["models"].items()
-        if "failure" in model
+        *(f"{name}: {one['failure']}" for name, one in models.items() if "failure" in one),
     ]
     return "\n".join(line.rstrip() for line in lines)
 

@@ -68,7 +68,13 @@ class ListenOptions(OptionSection):
     authentication.
     """
 
-    host: str = Field(default="127.0.0.1", description="Address to listen on")
+    host: str = Field(
+        default="127.0.0.1",
+        min_length=1,
+        max_length=253,
+        description="Address to listen on, of IPv4 or IPv6 (`::` for any of both), or a name: all "
+        "its addresses",
+    )
     port: int = Field(default=7420, ge=0, le=65535, description="TCP port; 0 for a free one")
     keys: Literal["link", "token", "none"] = Field(
         default="link",
@@ -99,7 +105,10 @@ class ListenOptions(OptionSection):
     )
     metrics_host: str = Field(
         default="127.0.0.1",
-        description="Address of the metrics. Anyone who can reach it can read them, without a key.",
+        min_length=1,
+        max_length=253,
+        description="Address of the metrics, likewise. Anyone who can reach it can read them, "
+        "without a key.",
     )
     robots: int = Field(default=64, ge=1, le=100, description="Largest number of connected robots")
     drain_s: float = Field(

@@ -38,26 +38,18 @@ def serve(
 
 
 def main(source: IO[str] = sys.stdin, arguments: list[str] = sys.argv[1:]) -> int:
-    """Run a server in the background: options as JSON in the first line of stdin; `idle_s` and the
-    path of the socket as arguments.
-
-    The started process returns at once; the server continues in a new session. With `--stay`
-    instead of `idle_s` the process itself serves, until stdin ends.
+    """Run a server: options as JSON in the first line of stdin; `idle_s` and the path of the socket
+    as arguments. The started process returns at once; the server continues in the background. With
+    `--stay` instead of `idle_s` the process itself serves, until stdin ends.
     """
-    options, path = ModelOptions.model_validate_json(source.readline()), Path(arguments[-1])
-    stays = arguments[0] == STAY
-    if not stays:
-        if os.fork():
-            return 0
-        os.setsid()
-        with open(os.devnull) as nothing, path.with_suffix(".log").open("a") as output:
-            os.dup2(nothing.fileno(), 0)
-            for number in (1, 2):
-                os.dup2(output.fileno(), number)
+    options = ModelOptions.model_validate_json(source.readline())
+    mode, path = arguments
+    if mode != STAY and os.fork():
+        return 0
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s")
-    idle_s, parent, code = (None, source, 1) if stays else (float(arguments[0]), None, 1)
+    idle_s, parent, code = (None, source, 1) if mode == STAY else (float(mode), None, 1)
     try:
-        code = serve(options, path, idle_s, parent)
+        code = serve(options, Path(path), idle_s, parent)
     except Exception:  # the process would end silently
         log.exception("The server cannot continue.")
     finally:

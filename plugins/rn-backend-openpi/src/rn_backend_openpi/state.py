@@ -5,7 +5,7 @@ client and server, or as vectors of a profile's terms.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -77,18 +77,14 @@ def state_of(entries: Mapping[str, object]) -> Measured:
         UnsafeError: a value is not finite.
     """
     arms: dict[str, ArmState] = {}
-    for key in entries:
-        arm, _, name = str(key).removeprefix(_PREFIX).rpartition("/")
-        if arm and name == _POSE and str(key).startswith(_PREFIX):
-            pose = _pose(entries, f"{_PREFIX}{arm}/")
+    for key in map(str, entries):
+        arm, _, name = key.removeprefix(_PREFIX).rpartition("/")
+        if arm and name == _POSE and key.startswith(_PREFIX):
+            pose, opening = _hand(entries, f"{_PREFIX}{arm}/")
             assert pose is not None
-            arms[arm] = ArmState(ee_pose=pose, gripper_open=_opening(entries, f"{_PREFIX}{arm}/"))
-    return Measured(
-        joints=_joints(entries),
-        ee_pose=_pose(entries, _PREFIX),
-        gripper_open=_opening(entries, _PREFIX),
-        arms=arms,
-    )
+            arms[arm] = ArmState(ee_pose=pose, gripper_open=opening)
+    pose, opening = _hand(entries, _PREFIX)
+    return Measured(joints=_joints(entries), ee_pose=pose, gripper_open=opening, arms=arms)
 
 
 def _finite(values: F64, key: str) -> F64:
@@ -141,17 +137,15 @@ def _joints(entries: Mapping[str, object]) -> JointSample | None:
     )
 
 
-def _pose(entries: Mapping[str, object], prefix: str) -> Pose | None:
-    if prefix + _POSE not in entries:
-        return None
-    values = _vector(entries, prefix + _POSE, 7)
-    return Pose(position_m=values[:3], quaternion_xyzw=_checked_unit(values[3:]))
-
-
-def _opening(entries: Mapping[str, object], prefix: str) -> float | None:
-    if prefix + _GRIPPER not in entries:
-        return None
-    return float(_vector(entries, prefix + _GRIPPER, 1)[0])
+def _hand(entries: Mapping[str, object], prefix: str) -> tuple[Pose | None, float | None]:
+    """Pose and opening at the keys with a prefix."""
+    pose = opening = None
+    if prefix + _POSE in entries:
+        values = _vector(entries, prefix + _POSE, 7)
+        pose = Pose(position_m=values[:3], quaternion_xyzw=_checked_unit(values[3:]))
+    if prefix + _GRIPPER in entries:
+        opening = float(_vector(entries, prefix + _GRIPPER, 1)[0])
+    return pose, opening
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -185,39 +179,52 @@ class TermState:
 
     def parse(self, entries: Mapping[str, object]) -> Measured:
         """The inverse of `build`; raises as `state_of`."""
-        found: dict[str, _Found] = {}
+        hands: dict[str, _Hand] = {}
+        joints: dict[str, float] = {}
         for key, part in self.parts.items():
             values = _vector(entries, key, sum(layout.width for layout in part.values()))
-            start = 0
             for arm, layout in part.items():
-                end = start + layout.width
-                found.setdefault(arm, _Found()).read(layout, values[start:end])
-                start = end
-        first = next(iter(found.values()), _Found())
-        names = [name for arm in found.values() for name in arm.joints]
-        joints = [value for arm in found.values() for value in arm.joints.values()]
-        arms = {
-            name: ArmState(ee_pose=arm.pose or _UNKNOWN, gripper_open=arm.opening)
-            for name, arm in found.items()
-            if name
-        }
+                for term in layout.terms:
+                    width = replace(layout, terms=(term,)).width
+                    found, values = values[:width], values[width:]
+                    if term == "joints":
+                        joints |= dict(zip(layout.joint_names, found.tolist(), strict=True))
+                    hands.setdefault(arm, _Hand()).read(term, found, layout)
+        first = next(iter(hands.values()), _Hand())
         return Measured(
-            joints=JointSample(names=tuple(names), position=np.array(joints)) if names else None,
+            joints=JointSample(names=tuple(joints), position=np.array([*joints.values()]))
+            if joints
+            else None,
             ee_pose=first.pose,
             gripper_open=first.opening,
-            arms=arms,
+            arms={
+                name: ArmState(ee_pose=hand.pose or _UNKNOWN, gripper_open=hand.opening)
+                for name, hand in hands.items()
+                if name
+            },
         )
 
 
 _UNKNOWN = Pose(position_m=np.full(3, np.nan), quaternion_xyzw=np.full(4, np.nan))
 """Pose of an arm for which the request has none: NaN, so that computing with it gives no number."""
+_DOWN = matrix_from_rotvec(np.array(DOWN_ROTVEC_RAD))
+_QUATERNIONS: Mapping[str, Callable[[F64], F64]] = {
+    "quaternion": _checked_unit,
+    "rotvec": lambda values: quaternion_from_matrix(matrix_from_rotvec(values)),
+    "rpy": lambda values: quaternion_from_matrix(matrix_from_rpy(values)),
+    "rpy_by_down": lambda values: quaternion_from_matrix(matrix_from_rpy(values) @ _DOWN),
+}
+_OPENINGS: Mapping[str, Callable[[float, StateLayout], float]] = {
+    "gripper_open": lambda value, layout: value,
+    "gripper_closed": lambda value, layout: 1.0 - value,
+    "fingers": lambda value, layout: value / layout.finger_travel_m,
+}
 
 
 @dataclass(slots=True)
-class _Found:
-    """Values read for one arm so far."""
+class _Hand:
+    """Pose and opening of one arm, as far as they have been read."""
 
-    joints: dict[str, float] = field(default_factory=dict)
     position_m: F64 | None = None
     quaternion_xyzw: F64 | None = None
     opening: float | None = None
@@ -228,32 +235,13 @@ class _Found:
             return None
         return Pose(position_m=self.position_m, quaternion_xyzw=self.quaternion_xyzw)
 
-    def read(self, layout: StateLayout, values: F64) -> None:
-        start = 0
-        for term in layout.terms:
-            width = replace(layout, terms=(term,)).width
-            self._term(layout, term, values[start : start + width])
-            start += width
-
-    def _term(self, layout: StateLayout, term: StateTerm, values: F64) -> None:
+    def read(self, term: StateTerm, values: F64, layout: StateLayout) -> None:
         if term == "position":
             self.position_m = values - layout.base_position_m
-        elif term == "quaternion":
-            self.quaternion_xyzw = _checked_unit(values)
-        elif term == "rotvec":
-            self.quaternion_xyzw = quaternion_from_matrix(matrix_from_rotvec(values))
-        elif term == "rpy":
-            self.quaternion_xyzw = quaternion_from_matrix(matrix_from_rpy(values))
-        elif term == "rpy_by_down":
-            down = matrix_from_rotvec(np.array(DOWN_ROTVEC_RAD))
-            self.quaternion_xyzw = quaternion_from_matrix(matrix_from_rpy(values) @ down)
-        elif term == "joints":
-            self.joints |= dict(zip(layout.joint_names, values.tolist(), strict=True))
-        elif term == "fingers":
-            self.opening = float(np.clip(values[0] / layout.finger_travel_m, 0.0, 1.0))
-        elif term in ("gripper_open", "gripper_closed"):
-            opening = values[0] if term == "gripper_open" else 1.0 - values[0]
-            self.opening = float(np.clip(opening, 0.0, 1.0))
+        elif term in _QUATERNIONS:
+            self.quaternion_xyzw = _QUATERNIONS[term](values)
+        elif term in _OPENINGS:
+            self.opening = float(np.clip(_OPENINGS[term](values[0], layout), 0.0, 1.0))
 
 
 def _of_arm(observation: Observation, arm: str) -> Observation:

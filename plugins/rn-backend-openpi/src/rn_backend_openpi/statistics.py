@@ -1,24 +1,29 @@
-"""Statistics of a server."""
+"""Statistics of a server, and its page with them at a local socket."""
 
 from __future__ import annotations
 
 import bisect
+import socket
 import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
+from http import HTTPStatus
+from http.client import HTTPException, HTTPResponse
+from pathlib import Path
 
 import numpy as np
 
 from rn_backend_openpi.batching import Answer
 from rn_backend_openpi.messages import Document
-from roboneuron import NotReadyError, Observation, RoboNeuronError
+from roboneuron import ForeignDataError, NotReadyError, Observation, RoboNeuronError, foreign
 
 _RECENT = 1000
 """Number of batches whose times are kept."""
+STATUS = "/status"
+"""Page with a server's statistics; on local sockets only."""
+_LONGEST_S = 20.0
 Predict = Callable[[Sequence[Observation]], Sequence[Answer]]
-
-
 BOUNDS_S = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
 """Upper bounds of the histogram of times [s]."""
 
@@ -92,3 +97,39 @@ class Statistics:
             "model_ms_p99": float(np.percentile(took_ms, 99)) if len(took_ms) else None,
             "busy_s": 0.0 if busy_since_s is None else time.monotonic() - busy_since_s,
         }
+
+
+def page(path: Path, timeout_s: float) -> Document:
+    """The status of the server at a local socket. Raises OSError or ForeignDataError."""
+    with socket.socket(socket.AF_UNIX) as connected:
+        connected.settimeout(timeout_s)
+        connected.connect(str(path))
+        connected.sendall(f"GET {STATUS} HTTP/1.1\r\nHost: localhost\r\n\r\n".encode())
+        with HTTPResponse(connected) as answer:
+            try:
+                answer.begin()
+                data = answer.read(foreign.MOST_BYTES)
+            except HTTPException as error:
+                raise ForeignDataError(f"a status is no answer of HTTP: {error!r}") from error
+            if answer.status != HTTPStatus.OK:
+                raise ForeignDataError(f"a status is refused: {answer.status}")
+    return foreign.table(foreign.decode_json(data, "a status"), "a status")
+
+
+def ask_status(path: Path) -> Document:
+    """Status of the policy server at a local socket.
+
+    Raises:
+        NotReadyError: there is no server.
+    """
+    try:
+        told = page(path, _LONGEST_S)
+        foreign.field(told, "models")
+    except (FileNotFoundError, ConnectionRefusedError) as error:
+        raise NotReadyError(
+            "No policy server of this file runs on this machine as this user.",
+            hint="Start it with `roboneuron serve-policy`.",
+        ) from error
+    except (OSError, ForeignDataError) as error:
+        raise NotReadyError(f"The policy server does not answer: {error}.") from error
+    return told
