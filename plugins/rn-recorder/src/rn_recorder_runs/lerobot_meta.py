@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from types import ModuleType
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -24,7 +24,9 @@ from roboneuron import (
 ColumnFeatures = dict[str, dict[str, object]]
 """What LeRobot is told of each column, by name."""
 VERSION = "v3.0"
-_COUNTER: dict[str, object] = {"dtype": "int64", "shape": [1], "names": None}
+_CAMERA = "observation.images."
+COUNTER: dict[str, object] = {"dtype": "int64", "shape": [1], "names": None}
+"""Feature of one integer a row."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,13 +50,23 @@ class ExportSource:
         return read_about(self.run.files[0]).get("robot")
 
 
-def features(
-    source: ExportSource, shapes: Mapping[str, tuple[int, ...]], fps: int, codec: Codec
-) -> ColumnFeatures:
-    """Features of the columns, by name; `shapes` are those of the images by camera."""
-    features = row_features(source, shapes)
-    for camera, (height, width, _) in shapes.items():
-        features[f"observation.images.{camera}"]["info"] = {
+def camera_key(camera: str) -> str:
+    """Feature of a camera."""
+    return f"{_CAMERA}{camera}"
+
+
+def cameras(features: Mapping[str, object]) -> tuple[str, ...]:
+    """Cameras among the features."""
+    return tuple(name.removeprefix(_CAMERA) for name in features if name.startswith(_CAMERA))
+
+
+def features(rows: ColumnFeatures, fps: int, codec: Codec) -> ColumnFeatures:
+    """Features of the columns: those of `rows`, and those that every data set has."""
+    features = {name: dict(feature) for name, feature in rows.items()}
+    for camera in cameras(rows):
+        feature = features[camera_key(camera)]
+        height, width, _ = cast("Sequence[int]", feature["shape"])
+        feature["info"] = {
             "video.height": height,
             "video.width": width,
             "video.codec": codec,
@@ -66,7 +78,7 @@ def features(
         }
     features["timestamp"] = {"dtype": "float32", "shape": [1], "names": None}
     for name in ("frame_index", "episode_index", "index", "task_index"):
-        features[name] = _COUNTER
+        features[name] = COUNTER
     return features
 
 
@@ -74,28 +86,30 @@ def row_features(source: ExportSource, shapes: Mapping[str, tuple[int, ...]]) ->
     """Features with values from RoboNeuron; every data set has additional ones."""
     features: ColumnFeatures = {}
     if source.episodes[0].rows[0].joints.size:
-        features["observation.state"] = _feature("float32", source.joint_names)
+        features["observation.state"] = vector("float32", source.joint_names)
     if source.episodes[0].rows[0].ee_pose.size:
-        features["observation.ee_pose"] = _feature("float32", source.pose_names)
+        features["observation.ee_pose"] = vector("float32", source.pose_names)
     names = channel_keys(source.episodes[0].labels[0])
-    features["action"] = _feature("float32", names)
-    features["roboneuron.action"] = _feature("float64", names)
-    features["roboneuron.policy_action"] = _feature("float64", names)
+    features["action"] = vector("float32", names)
+    features["roboneuron.action"] = vector("float64", names)
+    features["roboneuron.policy_action"] = vector("float64", names)
     for camera, shape in shapes.items():
-        features[f"observation.images.{camera}"] = {
-            "dtype": "video",
-            "shape": list(shape),
-            "names": ["height", "width", "channels"],
-        }
+        features[camera_key(camera)] = video(shape)
     features["intervention"] = {"dtype": "bool", "shape": [1], "names": None}
     # none has "image" in its name, because lerobot treats such a feature as a camera's
     for name in ("roboneuron.who", "roboneuron.sent_ns", "roboneuron.seen_ns"):
-        features[name] = _COUNTER
+        features[name] = COUNTER
     return features
 
 
-def _feature(dtype: str, names: Sequence[str]) -> dict[str, object]:
+def vector(dtype: str, names: Sequence[str]) -> dict[str, object]:
+    """Feature with a value for each name."""
     return {"dtype": dtype, "shape": [len(names)], "names": list(names)}
+
+
+def video(shape: Sequence[int]) -> dict[str, object]:
+    """Feature of a camera with images of that shape, (H, W, 3)."""
+    return {"dtype": "video", "shape": list(shape), "names": ["height", "width", "channels"]}
 
 
 def array(pa: ModuleType, values: list[Any], feature: Mapping[str, Any]) -> Any:
@@ -141,27 +155,21 @@ def tasks(pa: ModuleType, tasks: Sequence[str]) -> object:
 
 
 def info(
-    source: ExportSource,
-    features: Mapping[str, object],
-    episodes: Sequence[RecordedEpisode],
-    tasks: Sequence[str],
-    fps: int,
+    features: Mapping[str, object], counts: Mapping[str, int], fps: int, robot_type: str | None
 ) -> dict[str, object]:
-    """Content of meta/info.json."""
+    """Content of meta/info.json; `counts` of "episodes", "frames" and "tasks"."""
     return {
         "codebase_version": VERSION,
         "fps": fps,
         "features": features,
-        "total_episodes": len(episodes),
-        "total_frames": sum(len(episode.rows) for episode in episodes),
-        "total_tasks": len(tasks),
+        **{f"total_{name}": count for name, count in counts.items()},
         "chunks_size": 1000,
         "data_files_size_in_mb": 100,
         "video_files_size_in_mb": 200,
         "data_path": "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet",
         "video_path": "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4",
-        "robot_type": source.robot_type,
-        "splits": {"train": f"0:{len(episodes)}"},
+        "robot_type": robot_type,
+        "splits": {"train": f"0:{counts['episodes']}"},
     }
 
 
