@@ -15,6 +15,7 @@ from roboneuron import (
 )
 
 if TYPE_CHECKING:
+    from rn_recorder_runs.lerobot import Written
     from rn_recorder_runs.store import Run, RunStore
 
 _NEWEST = 'id of a run (its beginning will do), "latest", or a path of MCAP files'
@@ -23,7 +24,7 @@ _SEVERAL = f'{_NEWEST}; "all" for all recordings'
 
 
 class Runs:
-    """List, show, export, replay and delete recorded runs."""
+    """List, show, export, replay and delete recorded runs; import bags of other recorders."""
 
     def configure(self, parser: ArgumentParser) -> None:
         """Add the arguments of `roboneuron runs`."""
@@ -65,6 +66,9 @@ class Runs:
         self._configure_export(
             actions.add_parser("export", help="write runs as a data set, or as one MCAP file")
         )
+        self._configure_import(
+            actions.add_parser("import", help="write bags of other recorders as a data set")
+        )
 
     def _configure_export(self, parser: ArgumentParser) -> None:
         add = parser.add_argument
@@ -92,13 +96,41 @@ class Runs:
             type=int,
             help="rows per second of the data set; default: the rate of the actions",
         )
+        self._configure_writer(parser)
+
+    def _configure_import(self, parser: ArgumentParser) -> None:
+        add = parser.add_argument
         add(
+            "bags",
+            nargs="+",
+            type=Path,
+            metavar="BAG",
+            help="a folder with metadata.yaml, or a file .mcap or .db3",
+        )
+        add(
+            "--map",
+            type=Path,
+            required=True,
+            metavar="FILE",
+            help="TOML that says what their topics are",
+        )
+        add(
+            "--lerobot",
+            type=Path,
+            required=True,
+            metavar="DIRECTORY",
+            help="a LeRobotDataset v3 of their episodes",
+        )
+        self._configure_writer(parser)
+
+    def _configure_writer(self, parser: ArgumentParser) -> None:
+        parser.add_argument(
             "--codec",
             choices=("av1", "h264"),
             default="av1",
             help="of the data set's videos (default: av1)",
         )
-        add(
+        parser.add_argument(
             "--with-lerobot",
             type=Path,
             metavar="PYTHON",
@@ -134,6 +166,8 @@ class Runs:
         """Run `roboneuron runs`."""
         from rn_recorder_runs.listing import list_runs, show_run
 
+        if arguments.action == "import":
+            return _import(arguments)
         store = open_store(arguments)
         if arguments.action == "list":
             return list_runs(store, arguments.json)
@@ -293,6 +327,35 @@ def _replay(run: Run, arguments: Namespace) -> int:
     return int(comparison.diverging > 0)
 
 
+def _import(arguments: Namespace) -> int:
+    """Import bags; status 1 if something was left out."""
+    from rn_recorder_bags.importing import import_bags
+    from rn_recorder_bags.mapping import read_mapping
+
+    written = import_bags(
+        arguments.bags,
+        read_mapping(arguments.map),
+        arguments.lerobot,
+        codec=arguments.codec,
+        with_lerobot=arguments.with_lerobot,
+    )
+    return _tell(written, arguments.lerobot)
+
+
+def _tell(written: Written, directory: Path) -> int:
+    """Print what was written and what was left out; 1 if something was."""
+    frames = f"{written.frames} frames at {written.fps} Hz"
+    print(f"{directory}: {written.episodes} episodes, {frames}")
+    for left in written.skipped:
+        print(foreign.printable(f"Left out: {left}."), file=sys.stderr)
+    if written.skipped:
+        print(
+            f"{len(written.skipped)} left out; what is in the data set is whole.",
+            file=sys.stderr,
+        )
+    return int(bool(written.skipped))
+
+
 def _export(store: RunStore, arguments: Namespace) -> int:
     """Export runs; status 1 if something was left out."""
     from rn_recorder_runs.files import copy_records, read_about
@@ -319,16 +382,7 @@ def _export(store: RunStore, arguments: Namespace) -> int:
             with_lerobot=arguments.with_lerobot,
             only_interventions=arguments.interventions,
         )
-        frames = f"{written.frames} frames at {written.fps} Hz"
-        print(f"{arguments.lerobot}: {written.episodes} episodes, {frames}")
-        for left in written.skipped:
-            print(f"Left out: {left}.", file=sys.stderr)
-        if written.skipped:
-            print(
-                f"{len(written.skipped)} left out; what is in the data set is whole.",
-                file=sys.stderr,
-            )
-        return int(bool(written.skipped))
+        return _tell(written, arguments.lerobot)
     files = [path for run in runs for path in run.files]
     if not files:
         raise InvalidInputError("These runs hold no files.")

@@ -25,7 +25,7 @@ from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 from zstandard import ZstdError
 
 from rn_recorder_runs.action_labels import is_action, label_of, named_values
-from rn_recorder_runs.schemas import definition
+from rn_recorder_runs.schemas import ROS_2, definition, to_definition
 from roboneuron.feature import log_files
 
 CHUNK_BYTES = 1 << 20
@@ -33,8 +33,6 @@ FLUSH_S = 0.5
 """Maximum time before a chunk is written, which is the loss of a killed recorder."""
 LIBRARY = "rn-recorder"
 """Name of the writer in the files."""
-ROS_2 = "ros2msg"
-"""Encoding of the definitions of ROS 2."""
 METADATA = "roboneuron"
 """Name of the metadata record with the file's content and configuration."""
 LATCHED = "roboneuron.latched"
@@ -262,8 +260,8 @@ def read_records(
         for entry in whole_records(file, damage=damage):
             if isinstance(entry, Schema):
                 schemas[entry.id] = entry
-                is_ros = entry.encoding == ROS_2
-                texts[entry.id] = entry.data.decode(errors="replace") if is_ros else ""
+                text = entry.data.decode(errors="replace")
+                texts[entry.id] = to_definition(entry.name, entry.encoding, text)
                 if definitions is not None:
                     definitions[entry.name] = texts[entry.id]
             elif isinstance(entry, Channel):

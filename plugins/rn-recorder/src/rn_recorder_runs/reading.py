@@ -11,7 +11,8 @@ from typing import Any
 from mcap.records import Schema
 from mcap_ros2.decoder import DecoderFactory
 
-from rn_recorder_runs.files import ROS_2, Record, read_records
+from rn_recorder_runs.files import Record, read_records
+from rn_recorder_runs.schemas import ROS_2, definition
 
 CAMERA = "camera"
 
@@ -45,7 +46,8 @@ class TopicCounts:
 
 class RecordDecoder:
     """Decodes records with the definitions in their file: each with its own, also where files, or
-    topics of a file, define a type differently.
+    topics of a file, define a type differently. Those of files without definitions are decoded with
+    the installed ones.
     """
 
     def __init__(self) -> None:
@@ -68,7 +70,7 @@ class RecordDecoder:
     def _decoder(self, record: Record) -> Callable[[bytes], object]:
         text = record.definition
         if text is None:
-            text = self.definitions[record.type]
+            text = self.definitions.get(record.type) or definition(record.type)
         if not text:
             raise ValueError("its definition is not of ROS 2")
         schema = Schema(id=1, name=record.type, encoding=ROS_2, data=text.encode())
