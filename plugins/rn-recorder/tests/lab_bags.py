@@ -5,7 +5,7 @@ at other rates than the joints, a gap, and a clock that jumps back.
 from __future__ import annotations
 
 import io
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -28,7 +28,7 @@ JUMP_AT_MS, JUMP_MS = 3500, 5000
 """Since when the clock is late, and by how much."""
 SILENCE_MS = (1500, 2500)
 """Without commands."""
-ImageKind = Literal["raw", "jpeg", "png", "h264"]
+ImageKind = Literal["raw", "jpeg", "png", "h264", "h265"]
 CommandKind = Literal["trajectory", "joint_state", "array", "own type", "next_state"]
 CutKind = Literal["text", "bool", "empty", "silence", "bag"]
 
@@ -67,7 +67,7 @@ def header(at_ns: int) -> Any:
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """A message in a bag."""
+    """A message in a bag; (type, bytes) for one that is already serialized."""
 
     at_ns: int
     topic: str
@@ -85,10 +85,13 @@ def write_bag(
     with writer:
         connections: dict[str, Any] = {}
         for event in events:
-            kind = event.message.__msgtype__
+            message = event.message
+            if not isinstance(message, tuple):
+                kind = message.__msgtype__
+                message = kind, STORE.serialize_cdr(message, kind)
+            kind, data = message
             if event.topic not in connections:
                 connections[event.topic] = writer.add_connection(event.topic, kind, typestore=STORE)
-            data = STORE.serialize_cdr(event.message, kind)
             writer.write(connections[event.topic], event.at_ns, data)
     return path
 
@@ -109,14 +112,21 @@ def command(number: int) -> list[float]:
     return [1 / 3 + number / 11, -number / 13, 0.04 + number / 1000]
 
 
-class _Video:
-    """Encodes one frame a message."""
+_ENCODERS = {
+    "h264": ("libx264", {"g": "5", "crf": "1", "sc_threshold": "0"}),
+    "h265": ("libx265", {"x265-params": "keyint=5:bframes=0:scenecut=0:crf=1:log-level=none"}),
+}
 
-    def __init__(self) -> None:
-        codec = av.CodecContext.create("libx264", "w")
+
+class _Video:
+    """Encodes one frame a message, every fifth as a key frame."""
+
+    def __init__(self, form: str) -> None:
+        encoder, options = _ENCODERS[form]
+        codec = av.CodecContext.create(encoder, "w")
         codec.width, codec.height, codec.pix_fmt = 64, 48, "yuv420p"
         codec.time_base, codec.framerate = Fraction(1, 10), Fraction(10)
-        codec.options = {"tune": "zerolatency", "g": "5", "crf": "1"}
+        codec.options = {"tune": "zerolatency", **options}
         self._codec = codec
 
     def encode(self, number: int) -> bytes:
@@ -128,7 +138,7 @@ class _Video:
 
 def image_messages(kind: ImageKind, times_ns: Sequence[int]) -> list[Any]:
     """The pictures 0, 1, ... as messages."""
-    video = _Video() if kind == "h264" else None
+    video = _Video(kind) if kind in _ENCODERS else None
     messages = []
     for number, at_ns in enumerate(times_ns):
         if video is not None:
@@ -139,7 +149,7 @@ def image_messages(kind: ImageKind, times_ns: Sequence[int]) -> list[Any]:
                     timestamp=stamp(at_ns),
                     frame_id="lab",
                     data=data,
-                    format="h264",
+                    format=kind,
                 )
             )
         elif kind == "raw":
@@ -230,9 +240,12 @@ MARKS_MS = ((350, "pick up"), (1850, ""), (2205, "put down"))
 
 
 def lab_events(
-    images: ImageKind = "png", commands: CommandKind = "trajectory", cut: CutKind = "bag"
+    images: ImageKind = "png",
+    commands: CommandKind = "trajectory",
+    cut: CutKind = "bag",
+    lost: Collection[int] = (),
 ) -> list[Event]:
-    """The messages of a recording in their order."""
+    """The messages of a recording in their order; without the `lost` pictures."""
     timed: list[tuple[int, str, Any]] = []
     at = SimpleNamespace(ns=lambda ms: START_NS + ms * MS_NS)
 
@@ -243,7 +256,11 @@ def lab_events(
         timed.append((ms, "/lab/joints", joint_state(JOINTS, joints(number), told_ns(ms))))
     shown = [ms for ms in range(7, LENGTH_MS, CAMERA_MS) if not GAP_MS[0] <= ms < GAP_MS[1]]
     messages = image_messages(images, [told_ns(ms) for ms in shown])
-    timed += [(ms, "/lab/cam", one) for ms, one in zip(shown, messages, strict=True)]
+    timed += [
+        (ms, "/lab/cam", message)
+        for number, (ms, message) in enumerate(zip(shown, messages, strict=True))
+        if number not in lost
+    ]
     for number, ms in enumerate(range(3, LENGTH_MS, COMMANDS_MS)):
         if commands != "next_state" and not SILENCE_MS[0] <= ms < SILENCE_MS[1]:
             timed.append((ms, "/lab/command", command_message(commands, number, told_ns(ms))))

@@ -129,7 +129,8 @@ def _plain_record(record: Record) -> Record:
 
 
 def _read_sqlite(path: Path) -> Iterator[Record]:
-    """As `read_records`. Raises sqlite3.Error."""
+    """As `read_records`. Raises sqlite3.Error, FileNotFoundError."""
+    path.stat()  # an error of SQLite does not tell that it is missing
     # a crashed recorder leaves messages in a log, which SQLite merges only if it may lock
     mode = "mode=ro" if path.with_name(f"{path.name}-wal").exists() else "immutable=1"
     with closing(sqlite3.connect(f"{path.absolute().as_uri()}?{mode}", uri=True)) as base:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -228,9 +227,11 @@ def _pictures(
         if record.type != VIDEO:
             yield number, record
             continue
-        with suppress(ValueError, InvalidInputError):  # told when the bag was scanned
-            video = videos.setdefault(record.topic, Pictures())
+        video = videos.setdefault(record.topic, Pictures())
+        try:
             yield from video.decode(number, decoder.decode(record), record.type)
+        except (ValueError, InvalidInputError):  # told when the bag was scanned
+            video.lose()
     for video in videos.values():
         yield from video.finish()
 

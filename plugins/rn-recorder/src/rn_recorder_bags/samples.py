@@ -17,8 +17,11 @@ JOINT_STATE = "sensor_msgs/msg/JointState"
 TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
 VIDEO = "foxglove_msgs/msg/CompressedVideo"
 U8 = NDArray[np.uint8]
-_DECODERS = {"h264": "h264", "h265": "hevc", "vp9": "vp9", "av1": "libdav1d"}
-"""Decoders by `format` of a CompressedVideo. Source: Foxglove's schema of that type."""
+_DECODERS = {"h264": "h264", "h265": "hevc"}
+"""Decoders by `format` of a CompressedVideo. Source: Foxglove's schema of the type. VP9 and AV1
+are not read: their decoders do not tell that a frame is missing.
+"""
+_LOSS = "Frame num gap"
 _PATH = re.compile(r"([A-Za-z]\w*)|\.([A-Za-z]\w*)|\[(\d+)\]")
 _LARGEST = float(np.finfo(np.float32).max)
 _S = 1_000_000_000
@@ -104,19 +107,24 @@ def _chosen(found: Mapping[str, object], names: Mapping[str, str]) -> dict[str, 
 
 
 class Pictures:
-    """Decodes the image messages of one topic in their order, uint8 (H, W, 3) RGB."""
+    """Decodes the image messages of one topic in their order, uint8 (H, W, 3) RGB.
 
-    def __init__(self) -> None:
+    Args:
+        finds_losses: refuse video frames before which a frame is missing in the bag; takes
+            milliseconds a frame.
+    """
+
+    def __init__(self, finds_losses: bool = False) -> None:
+        self._finds_losses = finds_losses
         self._codec: Any = None
         self._format = ""
 
     def decode(self, number: int, message: Any, type_name: str) -> list[tuple[int, U8]]:
-        """Pictures that are known by now, each with the number of its message: of a video none
-        before its first key frame, and maybe those of messages before.
+        """Pictures that are known by now, each with the number of its message; of a video those of
+        messages before may be among them.
 
         Raises:
-            InvalidInputError: it is no picture, or damaged; what follows of a video needs a new
-                key frame.
+            InvalidInputError: it is no picture, or damaged; call `lose`.
             MissingDependencyError: PyAV is not installed.
         """
         if type_name != VIDEO:
@@ -126,26 +134,27 @@ class Pictures:
             self._codec = self._open(message.format)
         packet = av.Packet(bytes(message.data))
         packet.pts = number
+        if not packet.size:  # the decoder would take it for the end
+            raise InvalidInputError("a video frame is empty")
         try:
-            if not packet.size:  # the decoder would take it for the end
-                raise InvalidInputError("a video frame is empty")
             return self._frames(packet)
-        except (InvalidInputError, av.FFmpegError) as error:
-            self._codec = None
-            raise InvalidInputError(f"a video frame cannot be decoded ({error})") from error
+        except av.FFmpegError as error:
+            raise InvalidInputError(
+                f"a video frame, or one before it, is damaged or missing ({error.strerror})"
+            ) from error
+
+    def lose(self) -> None:
+        """Note that a message is missing: what follows of a video needs a new key frame."""
+        self._codec = None
 
     def finish(self) -> list[tuple[int, U8]]:
         """Pictures that the decoder of a video still holds."""
-        if self._codec is None:
-            return []
-        found = self._frames(None)
-        self._codec = None
-        return found
+        return self._frames(None) if self._codec is not None else []
 
     def _open(self, form: str) -> Any:
         if form not in _DECODERS:
             raise InvalidInputError(
-                f"a video of the format {form[:60]!r} is not read, but {', '.join(_DECODERS)}"
+                f"a video of the format {form[:60]!r} is not read, only {', '.join(_DECODERS)}"
             )
         self._format = form
         codec = load_av().CodecContext.create(_DECODERS[form], "r")
@@ -154,7 +163,17 @@ class Pictures:
         return codec
 
     def _frames(self, packet: Any) -> list[tuple[int, U8]]:
-        frames = self._codec.decode(packet)
+        logging = load_av().logging
+        level = logging.get_level()
+        # FFmpeg 8 shows instead of a missing frame of H.264 another one, and tells it so only
+        logging.set_level(logging.DEBUG if self._finds_losses else level)
+        try:
+            with logging.Capture() as lines:
+                frames = self._codec.decode(packet)
+        finally:
+            logging.set_level(level)
+        if any(text.startswith(_LOSS) for _, _, text in lines):
+            raise InvalidInputError("a video frame before it is missing")
         return [
             (int(frame.pts), frame.to_ndarray(format="rgb24"))
             for frame in frames

@@ -147,7 +147,7 @@ class _Scanner:
         self._pause_ns = round(mapping.max_age_s * S_NS)
         self._cuts = mapping.episodes
         self._cameras = {source.topic: camera for camera, source in mapping.cameras.items()}
-        self._decoders = {topic: Pictures() for topic in self._cameras}
+        self._decoders = {topic: Pictures(finds_losses=True) for topic in self._cameras}
         self._waiting: dict[tuple[str, int], tuple[ClockSpan, int]] = {}
         self._topics = {source.topic for source in (*mapping.state, *mapping.actions)}
         self._topics |= set(self._cameras)
@@ -177,6 +177,8 @@ class _Scanner:
                 self._keep(record.topic, decoder.decode(number, message, record.type))
         except (ValueError, InvalidInputError) as error:
             self._waiting.pop((record.topic, number), None)
+            if record.topic in self._decoders:
+                self._decoders[record.topic].lose()
             self._complain(record.topic, str(error))
 
     def finish(self) -> None:
