@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from rn_recorder_bags.mapping import read_mapping
 from rn_standard.console.chosen_plugins import read_disabled
 from rn_standard.demo.run import DemoOptions, write_configuration
 from rn_standard.http.options import TokenConfig
@@ -45,6 +46,8 @@ TOML: dict[str, Read] = {
     "demo": demo,
 }
 READERS = {**TOML, "token": token}
+OTHER_KEYS: dict[str, Read] = {"runs import": read_mapping}
+"""Readers of other tables than those of a roboneuron.toml."""
 
 
 def pipe(path: Path) -> None:
@@ -110,21 +113,21 @@ def ended(read: Read, path: Path) -> object:
 
 
 @pytest.mark.parametrize("name", ODD)
-@pytest.mark.parametrize("reader", READERS)
+@pytest.mark.parametrize("reader", READERS | OTHER_KEYS)
 def test_what_is_no_text_is_refused_at_once(reader: str, name: str, tmp_path: Path) -> None:
     path = tmp_path / "file.toml"
     ODD[name](path)
-    error = ended(READERS[reader], path)
+    error = ended((READERS | OTHER_KEYS)[reader], path)
     assert isinstance(error, ConfigurationError)
     assert path.name in str(error)
 
 
 @pytest.mark.parametrize("name", NO_TABLES)
-@pytest.mark.parametrize("reader", TOML)
+@pytest.mark.parametrize("reader", TOML | OTHER_KEYS)
 def test_what_is_no_table_is_refused(reader: str, name: str, tmp_path: Path) -> None:
     path = tmp_path / "file.toml"
     path.write_text(NO_TABLES[name], encoding="utf-8")
-    error = ended(TOML[reader], path)
+    error = ended((TOML | OTHER_KEYS)[reader], path)
     assert isinstance(error, ConfigurationError)
     assert path.name in str(error)
 

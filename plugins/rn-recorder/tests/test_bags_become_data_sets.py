@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+import shlex
 import subprocess
 from argparse import ArgumentParser
 from collections.abc import Callable
@@ -17,7 +19,7 @@ from lab_bags import Event, joint_state, lab_events, mapping_text, picture, raw_
 from policy_world import JOINTS, RATE_HZ, ROWS, STATE_JOINTS, STATE_OPENINGS, recorded
 from policy_world import picture as course_picture
 
-from rn_recorder_policy.command import CheckPolicy
+from rn_recorder_policy.command import CheckPolicy, read_demonstration
 from rn_recorder_runs.command import Runs
 from rn_testing.fakes.site import plugin_site
 from roboneuron import GRIPPER
@@ -88,6 +90,32 @@ def test_bags_of_both_storages_become_one_data_set(call: Call, tmp_path: Path) -
     assert [one["bag"] for one in origin["episodes"]] == ["mcap"] * 4 + ["sqlite3"] * 4
     assert len(origin["left_out"]) == err.count("Left out: ")
     assert origin["imported"]["episodes"] == {"topic": "/lab/task", "field": "data"}
+
+
+def test_the_commands_of_the_page_import_and_check(
+    call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    page = (ROOT / "docs" / "recording.md").read_text(encoding="utf-8")
+    section = page.partition("## Bags of other recorders")[2].partition("\n## ")[0]
+    (mapping,) = re.findall(r"```toml\n(.*?)```", section, re.DOTALL)
+    (typed,) = re.findall(r"```bash\n(.*?)```", section, re.DOTALL)
+    imported, checked = (shlex.split(line) for line in typed.splitlines())
+    (tmp_path / "bags").mkdir()
+    write_bag(tmp_path / "bags" / "one", "mcap", lab_events("h264", "trajectory", "text"))
+    (tmp_path / imported[imported.index("--map") + 1]).write_text(mapping)
+    monkeypatch.chdir(tmp_path)
+    at = imported.index("bags/*")
+    imported[at : at + 1] = map(str, Path().glob("bags/*"))
+    parser = ArgumentParser()
+    command = Runs()
+    command.configure(parser)
+    assert command.run(parser.parse_args([*imported[2:], "--codec", "h264"])) == 1
+    parser = ArgumentParser()
+    CheckPolicy().configure(parser)
+    arguments = parser.parse_args(checked[2:])
+    read = read_demonstration(arguments.dataset, arguments.episode)
+    assert read.instruction == "pick up"
+    assert read.columns["action"].names == ("elbow", "shoulder", "gripper")
 
 
 def test_a_whole_bag_gives_0(call: Call, tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Times of messages, clocks that jump, trajectories, marks of episodes, and the file of the mapping."""
+"""Times of messages, clocks that jump, trajectories, marks of episodes, and the mapping file."""
 
 from __future__ import annotations
 

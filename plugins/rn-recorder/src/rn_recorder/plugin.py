@@ -14,7 +14,7 @@ FEATURE = FeatureSpec(
 
 COMMAND = CommandSpec(
     name="runs",
-    summary="list, show, export, replay and delete recorded runs",
+    summary="list, show, export, replay and delete recorded runs; import bags",
     target="rn_recorder_runs.command:Runs",
 )
 """Descriptor of the command."""

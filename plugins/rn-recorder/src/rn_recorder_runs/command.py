@@ -7,6 +7,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from rn_recorder_bags.command import add_bag_options, import_named
 from rn_standard.console.plugin_options import add_option, read_options
 from roboneuron import (
     ConfigurationError,
@@ -66,9 +67,9 @@ class Runs:
         self._configure_export(
             actions.add_parser("export", help="write runs as a data set, or as one MCAP file")
         )
-        self._configure_import(
-            actions.add_parser("import", help="write bags of other recorders as a data set")
-        )
+        bags = actions.add_parser("import", help="write bags of other recorders as a data set")
+        add_bag_options(bags)
+        add_writer_options(bags)
 
     def _configure_export(self, parser: ArgumentParser) -> None:
         add = parser.add_argument
@@ -96,46 +97,7 @@ class Runs:
             type=int,
             help="rows per second of the data set; default: the rate of the actions",
         )
-        self._configure_writer(parser)
-
-    def _configure_import(self, parser: ArgumentParser) -> None:
-        add = parser.add_argument
-        add(
-            "bags",
-            nargs="+",
-            type=Path,
-            metavar="BAG",
-            help="a folder with metadata.yaml, or a file .mcap or .db3",
-        )
-        add(
-            "--map",
-            type=Path,
-            required=True,
-            metavar="FILE",
-            help="TOML that says what their topics are",
-        )
-        add(
-            "--lerobot",
-            type=Path,
-            required=True,
-            metavar="DIRECTORY",
-            help="a LeRobotDataset v3 of their episodes",
-        )
-        self._configure_writer(parser)
-
-    def _configure_writer(self, parser: ArgumentParser) -> None:
-        parser.add_argument(
-            "--codec",
-            choices=("av1", "h264"),
-            default="av1",
-            help="of the data set's videos (default: av1)",
-        )
-        parser.add_argument(
-            "--with-lerobot",
-            type=Path,
-            metavar="PYTHON",
-            help="interpreter whose lerobot 0.6 writes the data set",
-        )
+        add_writer_options(parser)
 
     def _configure_replay(self, parser: ArgumentParser) -> None:
         add = parser.add_argument
@@ -167,7 +129,7 @@ class Runs:
         from rn_recorder_runs.listing import list_runs, show_run
 
         if arguments.action == "import":
-            return _import(arguments)
+            return _tell(import_named(arguments), arguments.lerobot)
         store = open_store(arguments)
         if arguments.action == "list":
             return list_runs(store, arguments.json)
@@ -182,6 +144,22 @@ class Runs:
         if arguments.action == "replay":
             return _replay(find_run(store, arguments.run), arguments)
         return _export(store, arguments)
+
+
+def add_writer_options(parser: ArgumentParser) -> None:
+    """Add the options of what writes a data set."""
+    parser.add_argument(
+        "--codec",
+        choices=("av1", "h264"),
+        default="av1",
+        help="of the data set's videos (default: av1)",
+    )
+    parser.add_argument(
+        "--with-lerobot",
+        type=Path,
+        metavar="PYTHON",
+        help="interpreter whose lerobot 0.6 writes the data set",
+    )
 
 
 def open_store(arguments: Namespace) -> RunStore:
@@ -325,21 +303,6 @@ def _replay(run: Run, arguments: Namespace) -> int:
         write_report(arguments.out, found, comparison)
         print(f"{arguments.out}: comparison.json, comparison.png")
     return int(comparison.diverging > 0)
-
-
-def _import(arguments: Namespace) -> int:
-    """Import bags; status 1 if something was left out."""
-    from rn_recorder_bags.importing import import_bags
-    from rn_recorder_bags.mapping import read_mapping
-
-    written = import_bags(
-        arguments.bags,
-        read_mapping(arguments.map),
-        arguments.lerobot,
-        codec=arguments.codec,
-        with_lerobot=arguments.with_lerobot,
-    )
-    return _tell(written, arguments.lerobot)
 
 
 def _tell(written: Written, directory: Path) -> int:
