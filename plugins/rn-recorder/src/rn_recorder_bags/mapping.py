@@ -15,7 +15,7 @@ Seconds = Annotated[float, Field(gt=0, le=86_400)]
 _Names = Annotated[dict[str, str], Field(min_length=1, max_length=256)]
 
 
-class Source(Section):
+class TopicSource(Section):
     """A topic."""
 
     topic: str = Field(min_length=1, description="name of the topic")
@@ -25,7 +25,7 @@ class Source(Section):
     )
 
 
-class NumberSource(Source):
+class NumberSource(TopicSource):
     """`[[state]]` or `[[action]]`: a topic with numbers."""
 
     values: _Names = Field(
@@ -69,7 +69,7 @@ class BagMapping(Section):
     action: Literal["next_state"] | _Sources = Field(
         description="commands, in this order, or `next_state`"
     )
-    cameras: dict[Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")], Source] = Field(
+    cameras: dict[Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")], TopicSource] = Field(
         default={}, description="topics of images by camera"
     )
     episodes: EpisodeCuts | None = Field(default=None, description="by default one per bag")

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rn_recorder_bags.mapping import NEXT_STATE, BagMapping, NumberSource, Source
+from rn_recorder_bags.mapping import NEXT_STATE, BagMapping, NumberSource, TopicSource
 from rn_recorder_bags.scanning import S_NS, BagScan, ClockSpan, SeenPicture, Track
 from rn_recorder_bags.windows import Window, windows_of
 
@@ -105,7 +105,7 @@ class _SpanSampler:
             for name in source.values.values()
         ]
 
-    def _held(self, source: Source, track: Track[Any], least_s: float) -> _Held:
+    def _held(self, source: TopicSource, track: Track[Any], least_s: float) -> _Held:
         age_s = max(source.max_age_s or self._mapping.max_age_s, least_s)
         return _Held(source.topic, track, round(age_s * S_NS))
 
