@@ -186,6 +186,16 @@ def test_what_a_marked_episode_lacks_is_told(tmp_path: Path) -> None:
     assert told == ["no rows for 0.30 s at 0.00 s: /q is silent"]
 
 
+def test_an_episode_without_a_row_is_told(tmp_path: Path) -> None:
+    marks = [(100, string("up")), (150, string("")), (400, string("down"))]
+    events = states(regular(10))
+    events += [Event(START_NS + ms * MS, "/mark", message) for ms, message in marks]
+    events.sort(key=lambda event: event.at_ns)
+    episodes, told = sampled(tmp_path, f"{TEN_HZ}[episodes]\ntopic = '/mark'\n", events)
+    assert rows_of(episodes) == [("down", [4, 5, 6, 7, 8])]
+    assert told == ["an episode at 0.10 s is shorter than a row"]
+
+
 MAPPINGS = {
     "": "fps",
     "fps = [": "not valid TOML",

@@ -60,24 +60,24 @@ def sample(scan: BagScan, mapping: BagMapping) -> tuple[list[SampledEpisode], li
 
 @dataclass(frozen=True, slots=True)
 class _Held:
-    """A stream of samples, and how long each may be held [ns]."""
+    """A stream of samples: times int64 (n,) and values, and how long each may be held [ns]."""
 
     topic: str
-    track: Track[Any]
+    times_ns: I64
+    samples: Sequence[Any]
     age_ns: int
 
     def places(self, at_ns: I64) -> I64:
         """Index of the sample that is held at each time, -1 for none."""
-        if not self.track.times_ns:
+        if not len(self.times_ns):
             return np.full(len(at_ns), -1)
-        times_ns = np.array(self.track.times_ns, dtype=np.int64)
-        found = np.searchsorted(times_ns, at_ns, side="right") - 1
-        ages_ns = at_ns - times_ns[np.maximum(found, 0)]
+        found = np.searchsorted(self.times_ns, at_ns, side="right") - 1
+        ages_ns = at_ns - self.times_ns[np.maximum(found, 0)]
         return np.where((found >= 0) & (ages_ns <= self.age_ns), found, -1)
 
     def values(self, at_ns: I64) -> list[Any]:
         """The sample that is held at each time; there is one."""
-        return [self.track.values[place] for place in self.places(at_ns)]
+        return [self.samples[place] for place in self.places(at_ns)]
 
 
 class _SpanSampler:
@@ -107,17 +107,20 @@ class _SpanSampler:
 
     def _held(self, source: TopicSource, track: Track[Any], least_s: float) -> _Held:
         age_s = max(source.max_age_s or self._mapping.max_age_s, least_s)
-        return _Held(source.topic, track, round(age_s * S_NS))
+        times_ns = np.array(track.times_ns, dtype=np.int64)
+        return _Held(source.topic, times_ns, track.values, round(age_s * S_NS))
 
     def episodes(self, window: Window) -> tuple[list[SampledEpisode], list[str]]:
         """Uninterrupted rows of a window, and a sentence for each gap between them."""
         observed = [*self._state, *self._pictures.values()]
         begin_ns = window.begin_ns
         if not window.is_marked:
-            firsts = [held.track.times_ns[0] for held in observed if held.track.times_ns]
+            firsts = [int(held.times_ns[0]) for held in observed if len(held.times_ns)]
             begin_ns = max([begin_ns, *firsts])
         grid = _Grid(begin_ns, self._mapping.fps)
         count = grid.steps_until(window.end_ns)
+        if not count:
+            return [], [f"an episode at {self._since_s(begin_ns):.2f} s is shorter than a row"]
         numbers = grid.near(observed[0], count)
         for held in observed:
             numbers = numbers[held.places(grid.at_ns(numbers)) >= 0]
@@ -158,8 +161,11 @@ class _SpanSampler:
         if leaps:
             leap_ns = max(end - begin for begin, end in leaps)
             why = f"a clock jumps ahead by {leap_ns / S_NS:.3f} s"
-        since_s = (begin_ns - self._begin_ns) / S_NS
-        return f"no rows for {(end_ns - begin_ns) / S_NS:.2f} s at {since_s:.2f} s: {why}"
+        length_s = (end_ns - begin_ns) / S_NS
+        return f"no rows for {length_s:.2f} s at {self._since_s(begin_ns):.2f} s: {why}"
+
+    def _since_s(self, at_ns: int) -> float:
+        return (at_ns - self._begin_ns) / S_NS
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,8 +188,8 @@ class _Grid:
 
     def near(self, held: _Held, count: int) -> I64:
         """Those of the first `count` rows at which a sample may be held, and few others."""
-        times_ns = np.array(held.track.times_ns, dtype=np.int64)
-        parts = np.split(times_ns, np.flatnonzero(np.diff(times_ns) > held.age_ns) + 1)
+        pauses = np.flatnonzero(np.diff(held.times_ns) > held.age_ns)
+        parts = np.split(held.times_ns, pauses + 1)
         spans = [(int(part[0]), int(part[-1]) + held.age_ns) for part in parts if len(part)]
         ranges = [
             np.arange(max(0, self.steps_until(begin)), min(count, self.steps_until(end) + 1))
