@@ -17,6 +17,8 @@ from roboneuron.planning import check_configuration
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.registry import Registry
 from roboneuron.plugins.specs import RobotSpec
+from roboneuron.selection.choosing import choose
+from roboneuron.selection.requests import StartRobot
 
 LINES = """\
 [robot]
@@ -183,6 +185,17 @@ def test_names_and_keys_that_do_not_fit_are_refused(tmp_path, old, new, word):
     with pytest.raises(ConfigurationError) as caught:
         registry_of(load_config(tmp_path / "roboneuron.toml"))
     assert word in str(caught.value)
+
+
+def test_a_client_may_choose_another_robot_and_this_one_again(tmp_path):
+    write(tmp_path, *ARM)
+    config = config_of(tmp_path)
+    registry = registry_of(config)
+    for name, is_declared in (("fr3", False), ("mine", True)):
+        robot = choose("robot", config, registry, StartRobot(robot=name), "").config.robot
+        assert (robot.name, robot.arm is not None) == (name, is_declared)
+        there = discover(config.disabled_plugins, robot)  # as in the module's process
+        assert load_profile(there, robot).name == name
 
 
 def test_without_the_plugin_the_error_names_it(tmp_path):

@@ -10,6 +10,7 @@ S = TypeVar("S", bound=Section)
 
 _OF_THE_PLUGIN = {
     "driver",
+    "arm",
     "namespace",
     "python",
     "start_timeout_s",
