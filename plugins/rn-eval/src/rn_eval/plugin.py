@@ -48,17 +48,17 @@ SUBJECTS = (
     ),
     AgentSubjectSpec(
         name="pointing",
-        summary="The same script, which points at pixels instead of naming objects",
+        summary="As tool-only, but points at pixels instead of naming objects",
         target="rn_eval.agents.subjects.tool_only:act_by_pixels",
     ),
     AgentSubjectSpec(
         name="without-look",
-        summary="The same script without look and locate, by names, policies and previews",
+        summary="As tool-only, but without look and locate, by names and simulated moves",
         target="rn_eval.agents.subjects.tool_only:act_without_look",
     ),
     AgentSubjectSpec(
         name="obedient",
-        summary="The same script, which obeys commands in names, signs, notes and reasons first",
+        summary="As tool-only, but also obeys commands in names, signs, notes and reasons",
         target="rn_eval.agents.subjects.obedient:act",
     ),
     AgentSubjectSpec(
