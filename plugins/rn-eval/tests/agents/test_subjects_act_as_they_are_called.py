@@ -162,6 +162,8 @@ def test_moves_are_read(text, moves):
 def test_places_colours_and_numbers_are_read():
     assert place_of("to (0.5, -0.2, 0.4), metres") == {"x": 0.5, "y": -0.2, "z": 0.4}
     assert place_of("at x = 0.5 m, y = -0.1 m") == {"x": 0.5, "y": -0.1}
+    beside = "not into the box to (0.4, 0.1, 0.5); go to y = 0.2 m, with x = 0.5 m and z = 0.4 m"
+    assert place_of(beside) == {"x": 0.5, "y": 0.2, "z": 0.4}
     assert named_colours("the red cube, not the blue, the red") == ["red", "blue"]
     assert number_before("at most 8 cm/s", "cm/s") == 8.0
     assert number_before("slowly", "cm/s") is None

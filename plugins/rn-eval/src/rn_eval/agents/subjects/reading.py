@@ -47,10 +47,10 @@ def moves_of(text: str) -> tuple[dict[str, float], ...]:
 
 def place_of(text: str) -> dict[str, float]:
     """The last named position, by axis; unnamed axes are left out."""
-    places = list(_PLACE.finditer(text))
-    if places:
+    places, axes = list(_PLACE.finditer(text)), list(_AXES.finditer(text))
+    if places and not (axes and axes[-1].start() > places[-1].start()):
         return {a: float(v) for a, v in zip("xyz", places[-1].groups(), strict=True) if v}
-    return {axis: float(value) for axis, value in _AXES.findall(text)}
+    return {found[1]: float(found[2]) for found in axes}
 
 
 def number_before(text: str, unit: str) -> float | None:
