@@ -110,6 +110,9 @@ from .plugins.hookspecs import (
     hookimpl as hookimpl,
     hookspec as hookspec,
 )
+from .plugins.module_kind import (
+    ModuleKindSpec as ModuleKindSpec,
+)
 from .plugins.specs import (
     AccelerationSpec as AccelerationSpec,
     ActionSpace as ActionSpace,

@@ -95,18 +95,25 @@ class KindEntry:
         noun: word for the content of such a module.
         offer: kind of the plugins for it.
         section: model of its section.
+        title, start_text: title and effect of its start tool.
+        proof: evidence of a successful start.
         stop_text: effect of its stop tool.
+        inputs: kinds of modules that provide its inputs, where no `module_plan` says so.
     """
 
     kind: ModuleKind
     noun: str
     offer: str
     section: type[ModuleSection]
+    title: str
+    start_text: str
+    proof: str
     stop_text: str
+    inputs: tuple[ModuleKind, ...] = ()
 
     def configured(self, config: Config, registry: Registry) -> ModuleSection:
         """Return the section of this kind. Raises InvalidInputError if it is missing."""
-        section: ModuleSection | None = getattr(config, self.kind)
+        section = config.module_section(self.kind)
         if section is None:
             choices = ", ".join(registry.specs(registry.kinds[self.offer]))
             raise InvalidInputError(
@@ -129,23 +136,26 @@ class KindEntry:
                 fit.
         """
         self.configured(config, registry)
-        if self.kind == "robot":
-            section = config.robot
-            is_elsewhere = section.python is not None
-            robot, driver = find_robot(
-                registry, section.name, section.driver, is_elsewhere=is_elsewhere
-            )
-            return Plan(
-                kind=self.kind,
-                config=config,
-                robot=robot,
-                driver=driver,
-                spec=driver,
-                names={"robot": robot.name, "driver": driver.name},
-            )
-        spec = registry.get(FeatureSpec, self.kind)  # it has the name of the kind
-        named = load_attribute(spec.module_plan or "", f"`module_plan` of {spec.name!r}")
-        return cast("Callable[[Config, Registry], Plan]", named)(config, registry)
+        own = None if self.kind == "robot" else registry.get(FeatureSpec, self.kind)
+        if own is not None and own.module_plan is not None:
+            named = load_attribute(own.module_plan, f"`module_plan` of {own.name!r}")
+            return cast("Callable[[Config, Registry], Plan]", named)(config, registry)
+        section = config.robot
+        is_elsewhere = section.python is not None
+        robot, driver = find_robot(
+            registry, section.name, section.driver, is_elsewhere=is_elsewhere
+        )
+        return Plan(
+            kind=self.kind,
+            config=config,
+            robot=robot,
+            driver=driver,
+            spec=own or driver,
+            names={self.noun: own.name}
+            if own is not None
+            else {"robot": robot.name, "driver": driver.name},
+            inputs=self.inputs,
+        )
 
     def check(self, config: Config, registry: Registry) -> Plan:
         """Plan the configured module and check that it can be started.
@@ -155,8 +165,9 @@ class KindEntry:
             ConfigurationError: unknown or unusable options.
         """
         plan = self.plan(config, registry).checked(registry)
-        python = getattr(plan.config, self.kind).python
-        _check_options(plan.spec, plan.options, python, f"plugins.{plan.plugin}")
+        python = self.configured(plan.config, registry).python
+        if not isinstance(plan.spec, FeatureSpec):  # whose section was checked when it was read
+            _check_options(plan.spec, plan.options, python, f"plugins.{plan.plugin}")
         for part in plan.others:
             _check_options(part, plan.config.options(part.name), python)
         return plan
@@ -168,6 +179,10 @@ _ENTRIES = (
         noun="robot",
         offer="robot",
         section=RobotConfig,
+        title="Start the robot",
+        start_text="Connect to the robot, or start its simulation. It stands still until something "
+        "moves it.",
+        proof="its joints are measured",
         stop_text="Let the robot hold its position, and disconnect from it or end its simulation.",
     ),
     KindEntry(
@@ -175,6 +190,9 @@ _ENTRIES = (
         noun="source",
         offer="perception",
         section=PerceptionConfig,
+        title="Start the cameras",
+        start_text="Start the cameras. A simulated robot's cameras need start_robot first.",
+        proof="each camera has delivered an image",
         stop_text="Close the cameras; a policy without images sends no more actions.",
     ),
     KindEntry(
@@ -182,6 +200,10 @@ _ENTRIES = (
         noun="controller",
         offer="controller",
         section=ControlConfig,
+        title="Start the controller",
+        start_text="Start the controller, which turns the policy's actions, and move_ee, into "
+        "joint commands. Needs start_robot. The arm stands still until actions come.",
+        proof="it measures the pose of the end effector",
         stop_text="Stop the controller; the arm holds its position.",
     ),
     KindEntry(
@@ -189,11 +211,34 @@ _ENTRIES = (
         noun="backend",
         offer="backend",
         section=InferenceConfig,
+        title="Start the policy",
+        start_text="Load a policy (a vision-language-action model or a classical one). With an "
+        "instruction the robot moves at once. Needs start_perception; to move, also start_robot "
+        "and start_control.",
+        proof="it receives its inputs and, with an instruction, has sent its first action",
         stop_text="Stop the policy; the arm holds its position.",
     ),
 )
 KIND_ENTRIES: Mapping[ModuleKind, KindEntry] = {entry.kind: entry for entry in _ENTRIES}
-"""The kinds in the order in which an agent starts them."""
+"""Core's kinds in the order in which an agent starts them."""
+
+
+def added_kind(spec: FeatureSpec) -> KindEntry | None:
+    """The entry of the kind of modules that a feature adds; None if it adds none."""
+    added = spec.module_kind
+    if added is None:
+        return None
+    return KindEntry(
+        kind=spec.name,
+        noun=spec.name,
+        offer="feature",
+        section=ModuleSection,
+        title=added.title,
+        start_text=added.start_text,
+        proof=added.proof,
+        stop_text=added.stop_text,
+        inputs=added.inputs,
+    )
 
 
 def find_robot(
@@ -248,9 +293,7 @@ def check_configuration(config: Config, registry: Registry) -> None:
         ConfigurationError, PlanningError: as `KindEntry.check`; lists all errors.
     """
     checks: list[Callable[[], None]] = [
-        partial(_check_kind, kind, config, registry)
-        for kind in KIND_ENTRIES
-        if getattr(config, kind) is not None
+        partial(_check_kind, kind, config, registry) for kind in config.module_kinds
     ]
     checks += [
         partial(_check_section, name, options, registry) for name, options in config.plugins.items()
@@ -268,8 +311,10 @@ def check_configuration(config: Config, registry: Registry) -> None:
 
 
 def _check_kind(kind: ModuleKind, config: Config, registry: Registry) -> None:
+    entry = KIND_ENTRIES.get(kind) or added_kind(registry.get(FeatureSpec, kind))
+    assert entry is not None
     try:
-        KIND_ENTRIES[kind].check(config, registry)
+        entry.check(config, registry)
     except InvalidInputError as error:  # a checkpoint may be named later, by the agent
         if error.path != "checkpoint":
             raise ConfigurationError(error.message, hint=error.hint) from error

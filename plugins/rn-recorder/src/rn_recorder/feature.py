@@ -48,7 +48,7 @@ log = logging.getLogger(__name__)
 FOLDER = "runs"
 _ORDINARY = frozenset({"ungrounded"})
 """Errors that are not faults: an instruction that a backend cannot follow is a regular answer."""
-_SECTIONS = ("robot", "perception", "inference", "control", "limits")
+_SECTIONS = ("robot", "perception", "inference", "control", "modules", "limits")
 _MOST_ARGUMENTS = 4096
 CONTRACT = {
     "action": "dx dy dz [m], rx ry rz [rad, rotation vector], gripper [0 closed .. 1 open]",

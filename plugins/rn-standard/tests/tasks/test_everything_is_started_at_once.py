@@ -42,8 +42,7 @@ class FakeLoop:
         self.emergency_stop = self
         self.namespace = "gantry"
         self.prepared: list[str] = []
-        for kind in MODULE_KINDS:
-            setattr(self, kind, object() if kind in configured else None)
+        self.module_kinds = configured
         self.slots = self.phases = dict.fromkeys(MODULE_KINDS, "stopped")
         self.halt = threading.Event()
         self.stopped: list[str] = []

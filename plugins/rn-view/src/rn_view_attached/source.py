@@ -102,7 +102,9 @@ class AttachedSource:
         robot, control = (
             modules[kind].metrics if kind in modules else {} for kind in ("robot", "control")
         )
-        rows = tuple(_row(kind, modules.get(kind)) for kind in MODULE_KINDS)
+        rows = tuple(
+            _row(kind, modules.get(kind)) for kind in dict.fromkeys((*MODULE_KINDS, *modules))
+        )
         for row in rows:
             before = self._healths.get(row.kind, "stopped")
             if row.health != before:

@@ -124,7 +124,10 @@ class RecordedSource:
             metrics = {} if control is None else control.metrics
             robot = reports.get("robot")
             return PageState(
-                modules=tuple(self._row(kind, reports.get(kind), at_ns) for kind in MODULE_KINDS),
+                modules=tuple(
+                    self._row(kind, reports.get(kind), at_ns)
+                    for kind in dict.fromkeys((*MODULE_KINDS, *reports))
+                ),
                 is_latched=latched,
                 cause=cause,
                 instruction=(told.instruction if told is not None else "")
@@ -227,12 +230,14 @@ class RecordedSource:
         read: list[tuple[str, Report]] = []
         for status in self._timeline.decode(record).status:
             namespace, _, node = status.name.strip("/").rpartition("/")
-            kind = next(
-                (kind for kind in MODULE_KINDS if node == kind or node.startswith(f"{kind}_")), None
-            )
             values = {pair.key: pair.value for pair in status.values}
-            if kind is not None and namespace == self._config.namespace and "state" in values:
-                read.append((kind, Report.from_values(values, received_s=record.log_ns / 1e9)))
+            if namespace == self._config.namespace and {"state", "ready"} <= values.keys():
+                read.append(
+                    (
+                        node.removesuffix("_b"),
+                        Report.from_values(values, received_s=record.log_ns / 1e9),
+                    )
+                )
         return read
 
     def _row(self, kind: str, report: Report | None, at_ns: int) -> ModuleRow:
@@ -240,7 +245,7 @@ class RecordedSource:
         chosen = self._log.chosen(kind, at_ns)
         if report is None:
             return ModuleRow(kind=kind, health=health or "stopped", text=why, chosen=chosen)
-        assessed = ModuleView(kind=kind, phase="running", report=report).health(at_ns / 1e9)  # type: ignore[arg-type]
+        assessed = ModuleView(kind=kind, phase="running", report=report).health(at_ns / 1e9)
         error = why or report.error
         return module_row(kind, health or assessed, report, error=error, chosen=chosen)
 

@@ -5,7 +5,6 @@ from roboneuron.config.models import (
     ControlConfig,
     InferenceConfig,
     LimitsConfig,
-    ModuleSettings,
     PerceptionConfig,
     Reaction,
     RobotConfig,
@@ -13,6 +12,7 @@ from roboneuron.config.models import (
     SupervisorConfig,
     ZoneConfig,
 )
+from roboneuron.config.module_settings import ModuleSettings
 from roboneuron.config.reading import (
     EMBEDDED_DEFAULT,
     check_sections,

@@ -1,13 +1,11 @@
-"""Frozen models of roboneuron.toml: core's sections, the whole file, and the settings of one module
-process.
-"""
+"""Frozen models of roboneuron.toml: core's sections, and the whole file."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from roboneuron.config.arms import ArmConfig
 from roboneuron.config.cameras import CameraConfig
@@ -23,7 +21,10 @@ Reaction = Literal["hold", "scale", "refuse"]
 """Reaction to a limit: hold at the measured posture, shorten the command, or send nothing and let
 the last command end.
 """
-ModuleKind = Literal["robot", "perception", "inference", "control"]
+ModuleKind = str
+"""Kind of a module: robot, perception, inference or control, or one that a feature adds
+(`FeatureSpec.module_kind`).
+"""
 FIRST_STEP_S = 0.1
 """Time that control allows the arm for the first action after a pause [s]."""
 
@@ -329,6 +330,8 @@ class Config(Section):
     )
     sections: dict[str, Any] = Field(default_factory=dict, exclude=True)
     """Sections of features by top-level key, as in the file; not passed to modules."""
+    modules: dict[str, dict[str, Any]] = Field(default_factory=dict)
+    """Those of the kinds of modules that features add, by kind; passed to modules."""
     robots: dict[str, Config] = Field(default_factory=dict, exclude=True)
     """Complete configuration of each robot by name, for a file with `[robots.<name>]`; the other
     fields are shared.
@@ -349,6 +352,22 @@ class Config(Section):
             timeouts_s.append(self.control.server_timeout_s)
         return min(timeouts_s)
 
+    @property
+    def module_kinds(self) -> tuple[ModuleKind, ...]:
+        """Kinds of modules that have a section."""
+        known = ("robot", "perception", "inference", "control")
+        return (*(kind for kind in known if getattr(self, kind) is not None), *self.modules)
+
+    def module_section(self, kind: str) -> ModuleSection | None:
+        """The section of a kind of modules, or None if the file has none. Of a kind that a feature
+        adds it has what all kinds have; the feature's own model has the rest.
+        """
+        if kind not in self.modules:
+            known: ModuleSection | None = getattr(self, kind, None)
+            return known
+        common = ModuleSection.model_fields.keys() & self.modules[kind].keys()
+        return ModuleSection(**{key: self.modules[kind][key] for key in common})
+
     def options(self, name: str) -> Mapping[str, object]:
         """Options of the backend, source, controller, driver ... called `name`; empty if the user
         set none.
@@ -361,40 +380,6 @@ class Config(Section):
         Args:
             kind: kind of the module, which is the name of its section.
         """
-        section: ModuleSection | None = getattr(self, kind)
+        section = self.module_section(kind)
         own_s = None if section is None else section.start_timeout_s
         return self.supervisor.start_timeout_s if own_s is None else own_s
-
-
-class ModuleSettings(BaseModel):
-    """One line of JSON on the stdin of a module process.
-
-    Attributes:
-        kind: kind of the module.
-        node_name: name of its ROS node under the robot's namespace; the kind unless several run in
-            parallel.
-        config: the effective configuration, overrides of the start call included.
-        state_directory: where the emergency-stop latch is kept.
-        needs_start: reason for which a module that moves the robot refuses commands until motion is
-            requested; empty for none.
-        on_join: "module:attribute" of functions of features, called with the module's node
-            (`ModuleHost`).
-        tightened: limits that replace the configured ones, none of them wider.
-        is_successor: a module of its kind works already; a filter says when this one replaces it.
-    """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    kind: ModuleKind
-    node_name: str = Field(pattern=r"^[a-z][a-z0-9_]*$")
-    config: Config
-    state_directory: str = ""
-    tightened: LimitsConfig | None = None
-    is_successor: bool = False
-    needs_start: str = ""
-    on_join: tuple[str, ...] = ()
-
-    @property
-    def status_name(self) -> str:
-        """Name of the module's DiagnosticStatus: "<namespace>/<node name>"."""
-        return f"{self.config.namespace}/{self.node_name}"

@@ -15,7 +15,7 @@ from typing import Any, TypeVar, cast
 from pydantic import BaseModel
 
 from roboneuron import foreign
-from roboneuron.config.models import Config
+from roboneuron.config.models import Config, ModuleSection
 from roboneuron.errors import ConfigurationError, ForeignDataError
 from roboneuron.plugins.availability import package_of
 from roboneuron.plugins.discovery import discover
@@ -36,7 +36,9 @@ _STDIO = "stdio"
 """The transport without an address."""
 M = TypeVar("M", bound=BaseModel)
 _PLUGIN_OPTIONS = "Options of a plugin stand under [plugins.<name>]."
-KEYS = frozenset(name for name, field in Config.model_fields.items() if not field.exclude)
+KEYS = frozenset(
+    name for name, field in Config.model_fields.items() if not field.exclude and name != "modules"
+)
 """Top-level keys of core, except `robots`."""
 
 
@@ -96,7 +98,11 @@ def parse_tables(raw: Mapping[str, Any], source: str, registry: Registry | None)
     config = _checked(Config, own, source)
     if others:
         config = config.model_copy(update={"sections": others})
-        check_sections(config, registry or discover(config.disabled_plugins), source)
+        registry = registry or discover(config.disabled_plugins)
+        check_sections(config, registry, source)
+        kinds = others.keys() & registry.specs(FeatureSpec).keys()
+        modules = {key: others[key] for key in kinds if registry.get(FeatureSpec, key).module_kind}
+        config = config.model_copy(update={"modules": modules})
     return config
 
 
@@ -287,7 +293,12 @@ def feature_options(
     # several sections form one model, with a field for each; a single one is the model itself
     if not spec.sections:
         key = spec.keys[0]
-        return _checked(model, config.sections.get(key, {}), source, key)
+        values = config.sections.get(key, {})
+        if spec.module_kind is not None and isinstance(values, dict):
+            common = {k: v for k, v in values.items() if k in ModuleSection.model_fields}
+            _checked(ModuleSection, common, source, key)
+            values = {k: v for k, v in values.items() if k not in common}
+        return _checked(model, values, source, key)
     return _checked(
         model, {key: config.sections[key] for key in spec.keys if key in config.sections}, source
     )

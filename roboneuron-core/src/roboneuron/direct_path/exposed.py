@@ -7,7 +7,6 @@ import math
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
-from typing import get_args
 
 from roboneuron.contract import Endpoint, RobotProfile
 from roboneuron.direct_path import truth
@@ -16,7 +15,6 @@ from roboneuron.direct_path.message_types import RosMessage
 from roboneuron.direct_path.request import AllowedEndpoint
 from roboneuron.errors import ConfigurationError, InvalidInputError
 from roboneuron.modules import settings
-from roboneuron.modules.settings import ModuleKind
 from roboneuron.ros import topics
 from roboneuron.server.motion_gate import ExposedEndpoint
 
@@ -32,8 +30,7 @@ _SERVICE_OF_A_NODE = re.compile(
     r"|/(change_state|get_state|get_available_states|get_available_transitions|get_transition_graph)$"
 )
 """Parameter and lifecycle services. Source: rcl_interfaces/srv, lifecycle_msgs/srv."""
-_KINDS = get_args(ModuleKind)
-_TRANSITION = re.compile(rf"({'|'.join(_KINDS)})(_b)?/transition_event")
+_TRANSITION = re.compile(r"[a-z][a-z0-9_]*/transition_event")
 """Topics that the middleware publishes for each module below a robot's namespace."""
 _SYSTEM_TOPICS = frozenset({topics.DIAGNOSTICS, "/rosout", "/parameter_events"})
 """Health of the modules, and topics of ROS itself."""
@@ -195,7 +192,7 @@ def is_module(node: str, owner: str) -> bool:
     only the supervisor sets.
     """
     return node.removeprefix(f"/{owner}/") in {
-        f"{kind}{end}" for kind in _KINDS for end in ("", "_b")
+        f"{kind}{end}" for kind in settings.MODULE_KINDS for end in ("", "_b")
     }
 
 

@@ -18,7 +18,12 @@ from rclpy.qos import QoSProfile
 from roboneuron import foreign
 from roboneuron.config import LimitsConfig, ModuleSettings
 from roboneuron.errors import ConfigurationError, ForeignDataError, UnsafeError
-from roboneuron.modules.settings import LIMITS_PARAMETER, NEEDS_NEW_START, STOP_MOTION
+from roboneuron.modules.settings import (
+    ARM_KINDS,
+    LIMITS_PARAMETER,
+    NEEDS_NEW_START,
+    STOP_MOTION,
+)
 from roboneuron.modules.status import StatusWriter
 from roboneuron.modules.step_filters import StepFilter, StepFilters
 from roboneuron.moved import Moved
@@ -184,13 +189,13 @@ class ModuleHost(LifecycleNode):  # type: ignore[misc]
     def require_start(self, reason: str, code: str = NEEDS_NEW_START) -> None:
         """Forbid motion until it is requested anew, for example after a recovery; from any thread.
 
-        Does nothing in perception, which moves nothing.
+        Does nothing in perception and in kinds that features add, which move nothing.
 
         Args:
             reason: text for the status and for refused requests.
             code: see `Module.stop`.
         """
-        if self.settings.kind == "perception":
+        if self.settings.kind not in (*ARM_KINDS, "inference"):
             return
         with self.stops_lock:
             self.needs_start = reason

@@ -5,6 +5,7 @@ from __future__ import annotations
 from roboneuron.config.models import ModuleKind as ModuleKind
 
 MODULE_KINDS: tuple[ModuleKind, ...] = ("robot", "perception", "inference", "control")
+"""Core's kinds; those that features add come after them."""
 ARM_KINDS: tuple[ModuleKind, ...] = ("robot", "control")
 """Modules that move the arm: after a stop they refuse commands until motion is requested."""
 INSTRUCTION_PARAMETER = "instruction"

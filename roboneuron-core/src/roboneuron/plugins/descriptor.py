@@ -110,6 +110,12 @@ def _check_robot(spec: RobotSpec, who: str) -> None:
 
 
 def _check_feature(spec: FeatureSpec, who: str) -> None:
+    is_whole = bool(spec.module and spec.config and not spec.sections)
+    _require(
+        not spec.module_kind or (is_whole and KEY_PATTERN.fullmatch(spec.name) is not None),
+        f"{who} adds a kind of modules, which needs `module`, one section with a model "
+        "(`config`), and a name of lower-case letters and digits.",
+    )
     _require(
         not spec.sections or spec.config is not None,
         f"{who} owns {', '.join(spec.sections)} of the configuration, but has no `config`.",

@@ -11,6 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
+from roboneuron.plugins.module_kind import ModuleKindSpec
+
 CONTRACT_VERSION = 1
 """Incremented when a descriptor or protocol changes incompatibly with old plugins."""
 
@@ -300,25 +302,24 @@ class FeatureSpec(Spec):
             feature's name in underscores, whose model is `config`. Otherwise `config` has one field
             for each key.
         transports: values of `[server] transport` that it serves.
-        brings: "module:attribute" of the descriptor class of an additional kind; the module also
-            contains the specification (`hookspec`) of its hook, `roboneuron_<kind>s`. Imported
-            while plugins are discovered, so it must be as light as a plugin module. Its class
-            attribute `beside` may name more classes of that module.
+        brings: "module:attribute" of the descriptor class of an additional kind; its module, as
+            light as a plugin module, also has the specification (`hookspec`) of its hook,
+            `roboneuron_<kind>s`. The class attribute `beside` may name more classes of it.
         needs: names of required features.
-        on_discovery: "module:attribute" of a function without arguments that every process calls
-            while it discovers plugins (server, modules, commands); as light as a plugin module, and
-            idempotent. None for none.
+        on_discovery: "module:attribute" of a light, idempotent function without arguments that
+            every process calls while it discovers plugins (server, modules, commands).
         on_join: "module:attribute" of a function that every module process calls with its
-            `ModuleHost` once it has joined ROS; None for none. In the server, use `start` for that.
-        module: "module:attribute" of the class of modules with the feature's name ("perception" or
-            "inference"), called with a `ModuleHost`.
+            `ModuleHost` once it has joined ROS; in the server, use `start` for that.
+        module: "module:attribute" of the class of modules with the feature's name, such as
+            "perception", called with a `ModuleHost`.
         module_plan: "module:attribute" of a light function that plans such a module: called with
             Config and Registry, returns its `roboneuron.feature.Plan` or raises a RoboNeuronError.
+        module_kind: set for a further kind of modules, whose section is the feature's, with
+            `start_timeout_s` and `python` as every kind. It needs no `module_plan`.
         fleet: "module:attribute" of a function that serves a configuration with several robots:
             called with Config and state directory, returns a `roboneuron.server.surface.Served`.
-        fleet_config: "module:attribute" of a function that reads a file with several robots, for a
-            feature with `fleet`: called with the tables, the file's name for messages and the
-            Registry, returns the Config.
+        fleet_config: "module:attribute" of a function that reads a file with several robots:
+            called with the tables, the file's name and the Registry, returns the Config.
         declared_robot: "module:attribute" of a light function from `[robot]` to its `RobotSpec`.
         switch: name of an option, true or false, of its first section; `roboneuron serve --NAME`,
             NAME being the feature's, sets it to true. None for no such flag.
@@ -334,6 +335,7 @@ class FeatureSpec(Spec):
     on_join: str | None = None
     module: str | None = None
     module_plan: str | None = None
+    module_kind: ModuleKindSpec | None = None
     fleet: str | None = None
     fleet_config: str | None = None
     declared_robot: str | None = None

@@ -71,7 +71,7 @@ def choose(
 
 def _configured_names(kind: ModuleKind, config: Config) -> set[str]:
     """Names of the configured plugins for a kind of module."""
-    section: Section | None = getattr(config, kind)
+    section = config.module_section(kind)
     fields = ("driver", "source", "controller", "backend", "runtime", "acceleration")
     return (
         set()
@@ -86,7 +86,7 @@ def _section(kind: ModuleKind, config: Config, registry: Registry, request: Argu
     """
     entry = KIND_ENTRIES[kind]
     field = "name" if kind == "robot" else entry.noun
-    section: Section | None = getattr(config, kind)
+    section: Section | None = config.module_section(kind)
     named = {
         key: getattr(request, key)
         for key in REQUESTS[kind].model_fields

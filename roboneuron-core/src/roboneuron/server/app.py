@@ -107,6 +107,7 @@ class Application:
         self.loop.on_stop = self.events.stop.tell
         self.loop.emergency_stop.audit.on_record = self.events.decision.tell
         self.features = Features(config, self.loop.registry)
+        self.loop.add_kinds(self.features.kinds)
         self.supervisor.on_join = self.features.on_join
         self._watch = Watch(
             lambda: self.loop.starts.look(self.loop.emergency_stop.follow_file()),

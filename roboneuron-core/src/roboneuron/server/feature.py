@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from roboneuron.config import Config, feature_options, transport_feature
 from roboneuron.errors import ConfigurationError, InternalError, PluginError, RoboNeuronError
+from roboneuron.planning import KindEntry, added_kind
 from roboneuron.plugins.loading import load_target
 from roboneuron.plugins.registry import Registry
 from roboneuron.plugins.specs import FeatureSpec
@@ -183,6 +184,7 @@ class Features:
         loaded: features by name, dependencies first; replaced, never modified, so that any thread
             may read it.
         failed: features left out, with the reasons.
+        kinds: entries of the kinds of modules that features add.
     """
 
     def __init__(self, config: Config, registry: Registry) -> None:
@@ -191,6 +193,7 @@ class Features:
         self._specs = registry.specs(FeatureSpec)
         self.loaded: dict[str, Feature[Any]] = {}
         self.failed: dict[str, str] = {}
+        self.kinds: dict[str, KindEntry] = {}
         for name in config.features:
             registry.get(FeatureSpec, name)  # says why a required feature is missing
         for spec in _ordered(self._specs):
@@ -284,12 +287,16 @@ class Features:
             raise PluginError(
                 f"The target of feature {spec.name!r} is {target!r}, expected a class."
             )
-        feature = target(feature_options(spec, self._config))
+        kind = added_kind(spec)
+        is_idle = kind is not None and spec.name not in self._config.sections
+        feature = target(None if is_idle else feature_options(spec, self._config))
         if not isinstance(feature, Feature):
             raise PluginError(
                 f"The target of feature {spec.name!r} makes a {type(feature).__name__}, not a "
                 "Feature."
             )
+        if kind is not None:
+            self.kinds[spec.name] = kind
         self.loaded = {**self.loaded, spec.name: feature}
 
     def _attempt(

@@ -18,7 +18,7 @@ from roboneuron.estop.motion_starts import MotionStarts
 from roboneuron.modules.arm_paths import UncheckedPaths
 from roboneuron.modules.settings import EMERGENCY_STOP, MODULE_KINDS, ModuleKind
 from roboneuron.moved import Moved
-from roboneuron.planning import KIND_ENTRIES, Plan
+from roboneuron.planning import KIND_ENTRIES, KindEntry, Plan
 from roboneuron.plugins.registry import Registry
 from roboneuron.plugins.specs import RobotSpec
 from roboneuron.server.tool import Arguments
@@ -138,6 +138,7 @@ class ClosedLoop:
         stop.on_press.append(self.starts.claims.stop_now)
         stop.on_pressed.append(lambda: self.starts.note_stop(EMERGENCY_STOP))
         stop.on_pressed.append(self.starts.claims.wake)
+        self.kinds: Mapping[ModuleKind, KindEntry] = KIND_ENTRIES
         self.forms: Mapping[ModuleKind, StartForm] = {}
         self.on_stop: Callable[[ModuleKind], object] = lambda kind: None
         self.streams: dict[str, deque[SentAction]] = {}
@@ -148,7 +149,7 @@ class ClosedLoop:
         """The configuration with the running robot, or the configured one."""
         running = self.modules.view("robot").plan
         others: dict[str, Any] = {
-            kind: getattr(self.base, kind) for kind in MODULE_KINDS if kind != "robot"
+            kind: getattr(self.base, kind) for kind in (*MODULE_KINDS, "modules") if kind != "robot"
         }
         return self.base if running is None else running.config.model_copy(update=others)
 
@@ -200,6 +201,11 @@ class ClosedLoop:
         spec = self.registry.specs(RobotSpec).get(self.config.robot.name)
         return {} if spec is None else {camera.name: camera.role for camera in spec.cameras}
 
+    def add_kinds(self, entries: Mapping[ModuleKind, KindEntry]) -> None:
+        """Take the modules of kinds that features add too, while the server is assembled."""
+        self.kinds = {**self.kinds, **entries}
+        self._supervisor.add_kinds(entries)
+
     def accept(self, forms: Iterable[StartForm]) -> None:
         """Let clients ask for modules by these forms, while the server is assembled.
 
@@ -222,7 +228,7 @@ class ClosedLoop:
         """
         config = self.base if kind == "robot" else self.config
         if request is None or not request.model_fields_set:
-            plan = KIND_ENTRIES[kind].check(config, self.registry)
+            plan = self.kinds[kind].check(config, self.registry)
         else:
             form = self.forms.get(kind)
             if form is None or not isinstance(request, form.arguments):
@@ -345,7 +351,7 @@ class ClosedLoop:
 
     def stop_all(self) -> list[Stopped]:
         """Stop everything, in the reverse order of starting."""
-        for kind in MODULE_KINDS:
+        for kind in self.kinds:
             self.on_stop(kind)
         try:
             return self._supervisor.stop_all()

@@ -10,7 +10,7 @@ from pydantic import Field
 from roboneuron.errors import StateError
 from roboneuron.gate.roles import Role
 from roboneuron.modules.settings import MODULE_KINDS
-from roboneuron.planning import KIND_ENTRIES, KindEntry
+from roboneuron.planning import KindEntry
 from roboneuron.server.call_chain import EMERGENCY_TOOL
 from roboneuron.server.loop import ClosedLoop
 from roboneuron.server.tool import Arguments, CallContext, NoArguments, Result, Tool
@@ -56,7 +56,9 @@ def stop_tools(
         loop: the closed loop.
         motions: see `Host.motions`.
     """
-    tools = [_stop_tool(loop, KIND_ENTRIES[kind], motions) for kind in MODULE_KINDS]
+    # those without which nothing works last
+    order = (*MODULE_KINDS, *(kind for kind in loop.kinds if kind not in MODULE_KINDS))
+    tools = [_stop_tool(loop, loop.kinds[kind], motions) for kind in order]
     return [*tools, _stop_all(loop)]
 
 

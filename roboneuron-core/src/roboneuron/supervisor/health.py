@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
 
-_KINDS = tuple(f"/{kind}" for kind in MODULE_KINDS)
 _FOREIGN_S = 1.0
 """A foreign node, which reports every 0.2 s, counts as gone after this time without a report."""
 _FOREIGN = 64
@@ -213,9 +212,17 @@ class Modules:
         self.secret_variables: set[str] = set()
         self.changes = Changes()
         self.slots = {kind: [Slot(kind, self.changes)] for kind in MODULE_KINDS}
+        self._endings = tuple(f"/{kind}" for kind in MODULE_KINDS)
         # process ids of all that was started, as text, which is how they come in a DiagnosticStatus
         self._ours: set[str] = set()
         self._foreign: dict[str, tuple[str, float]] = {}
+
+    def add_kinds(self, kinds: Iterable[ModuleKind]) -> None:
+        """Take modules of these kinds too, while the server is assembled; known ones stay."""
+        with self.changes.lock:
+            for kind in kinds:
+                self.slots.setdefault(kind, [Slot(kind, self.changes)])
+            self._endings = tuple(f"/{kind}" for kind in self.slots)
 
     def slot(self, kind: ModuleKind) -> Slot:
         """Slot of the module that works now. Do not keep it: a replacement changes it."""
@@ -243,7 +250,7 @@ class Modules:
             report = Report.from_values(values, received_s=now_s)
             for slot in self.all_slots():
                 slot.accept(name, pid, report)
-        elif name.endswith(_KINDS):
+        elif name.endswith(self._endings):
             self._foreign = dict(list(self._foreign.items())[-_FOREIGN:])
             self._foreign[name] = (pid, now_s)
 
@@ -258,7 +265,7 @@ class Modules:
     def all_slots(self) -> list[Slot]:
         """Slots of every kind."""
         with self.changes.lock:
-            return [slot for kind in MODULE_KINDS for slot in self.slots[kind]]
+            return [slot for slots in self.slots.values() for slot in slots]
 
     def view(self, kind: ModuleKind) -> ModuleView:
         """State of a module now; consistent, because the lock is held."""
@@ -286,8 +293,8 @@ class Modules:
         return [reason for reason in reasons if reason is not None]
 
     def views(self) -> list[ModuleView]:
-        """All modules, in the order robot, perception, inference, control."""
-        return [self.view(kind) for kind in MODULE_KINDS]
+        """All modules, in the order robot, perception, inference, control, those of features."""
+        return [self.view(kind) for kind in self.slots]
 
     def require_running(self, kind: ModuleKind) -> ModuleView:
         """Return the view of a running module.

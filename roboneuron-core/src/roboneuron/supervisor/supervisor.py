@@ -179,7 +179,7 @@ class Supervisor(Modules):
             ConfigurationError: it cannot be started, or its log cannot be written.
             NotReadyError: the system does not start it in time; it is ended as soon as it appears.
         """
-        section = getattr(settings.config, settings.kind)
+        section = settings.config.module_section(settings.kind)
         python = None if section is None else section.python
         command = self._command(python)
         check_state_directory(self.log_directory)

@@ -14,16 +14,17 @@ import threading
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, get_args
+from typing import TYPE_CHECKING
 
 from rn_standard.console.log_runs import log_runs
 from rn_standard.console.status import ReportedModule, ServerStatus
-from roboneuron.feature import Health, ModuleKind, ModuleView, Report, estop, reading
+from roboneuron.feature import Health, ModuleView, Report, estop, reading
 
 if TYPE_CHECKING:
     from diagnostic_msgs.msg import DiagnosticArray
 
-_KINDS: tuple[ModuleKind, ...] = get_args(ModuleKind)
+_KINDS: tuple[str, ...] = ("robot", "perception", "inference", "control")
+"""Shown first, in this order."""
 FORGET_S = 5.0
 """Time after which a silent module without a process is no longer shown."""
 
@@ -103,8 +104,8 @@ class DiagnosticsListener:
             namespace, _, node = status.name.strip("/").rpartition("/")
             values = {pair.key: pair.value for pair in status.values}
             if (
-                _kind_of(node) is None
-                or "state" not in values
+                not node.isidentifier()
+                or not {"state", "ready"} <= values.keys()
                 or not status.hardware_id.isdecimal()
             ):
                 continue  # of the supervisor, or of a foreign node
@@ -199,21 +200,19 @@ def _noted_namespace(folder: Path) -> str:
 def _in_order(item: tuple[tuple[str, str, int], Report]) -> tuple[str, int, int]:
     (namespace, node, pid), _ = item
     kind = _kind_of(node)
-    return namespace, _KINDS.index(kind) if kind is not None else len(_KINDS), pid
+    return namespace, [*_KINDS, kind].index(kind), pid
 
 
-def _kind_of(node: str) -> ModuleKind | None:
+def _kind_of(node: str) -> str:
     """Kind of a module's node: nodes have the name of their kind, after a switch with a suffix."""
-    return next((kind for kind in _KINDS if node == kind or node.startswith(f"{kind}_")), None)
+    return next((kind for kind in _KINDS if node.startswith(f"{kind}_")), node)
 
 
 def _health(node: str, pid: int, report: Report, now_s: float) -> Health:
     """Health as determined by the server, except that a start in progress looks like "waiting"."""
     if not Path(f"/proc/{pid}").exists():
         return "exited"
-    kind = _kind_of(node)
-    assert kind is not None
-    return ModuleView(kind=kind, phase="running", report=report).health(now_s)
+    return ModuleView(kind=_kind_of(node), phase="running", report=report).health(now_s)
 
 
 def _server_of(pids: list[int], servers: list[FoundServer]) -> FoundServer | None:

@@ -9,6 +9,13 @@ from roboneuron.command import state_folder
 _MODULES = ("robot", "perception", "inference", "control", "server")
 
 
+class _Suggested(tuple[str, ...]):
+    """Words for the completion of a shell; others are accepted too."""
+
+    def __contains__(self, word: object) -> bool:
+        return True
+
+
 class Logs:
     """Show the logs of a server's newest run: those of its modules and its own, in order of time.
 
@@ -18,7 +25,11 @@ class Logs:
     def configure(self, parser: ArgumentParser) -> None:
         """Add the arguments of `roboneuron logs`."""
         parser.add_argument(
-            "module", metavar="MODULE", nargs="?", choices=_MODULES, help=", ".join(_MODULES)
+            "module",
+            metavar="MODULE",
+            nargs="?",
+            choices=_Suggested(_MODULES),
+            help=f"{', '.join(_MODULES)}, or one that a plugin adds",
         )
         parser.add_argument(
             "-f", "--follow", action="store_true", help="go on with what is added, until Ctrl-C"

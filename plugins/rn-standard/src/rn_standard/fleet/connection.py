@@ -6,9 +6,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, get_args
+from typing import TYPE_CHECKING
 
-from roboneuron.feature import Config, Connection, ModuleKind
+from roboneuron.feature import Config, Connection
 
 if TYPE_CHECKING:
     from diagnostic_msgs.msg import DiagnosticArray
@@ -25,8 +25,7 @@ def participants_of(robots: Iterable[Config]) -> int:
     """Number of participants that have to discover each other: the modules of all robots, and a few
     others.
     """
-    kinds = get_args(ModuleKind)
-    modules = sum(getattr(robot, kind) is not None for robot in robots for kind in kinds)
+    modules = sum(len(robot.module_kinds) for robot in robots)
     return min(_MOST, modules + _OTHERS)
 
 

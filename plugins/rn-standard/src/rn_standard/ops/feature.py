@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Mapping, Sequence
-from typing import get_args
 
 from rn_standard.ops.incidents import FOLDER, Incidents
 from rn_standard.ops.memory import MemoryWatch
 from rn_standard.ops.options import OpsOptions
 from rn_standard.ops.other_servers import ServerPresence
-from rn_standard.ops.records import Source, log_resource, record_tools
+from rn_standard.ops.records import SERVER, log_resource, record_tools
 from rn_standard.ops.restarts import Restarts
 from rn_standard.ops.server_log import ServerLog
 from roboneuron import Feature, Host, Resource, Tool
@@ -102,7 +101,7 @@ class Operations(Feature[OpsOptions]):
 
     def resources(self, host: Host) -> Sequence[Resource]:
         """Return the logs of modules and of the server."""
-        return [log_resource(host.modules, source) for source in get_args(Source)]
+        return [log_resource(host.modules, source) for source in (*host.modules.slots, SERVER)]
 
     def _tell_of_other_servers(self) -> None:
         for pid in self._presence.open():

@@ -26,14 +26,14 @@ class RestartOptions(Section):
     control: Restart = Field(default="never", description="whether it is restarted; it holds then")
 
     def policy(self, kind: ModuleKind) -> Restart:
-        """The policy of one module."""
+        """The policy of one module; one of a kind that a feature adds is not restarted."""
         policies: dict[ModuleKind, Restart] = {
             "robot": self.robot,
             "perception": self.perception,
             "inference": self.inference,
             "control": self.control,
         }
-        return policies[kind]
+        return policies.get(kind, "never")
 
 
 class MemoryOptions(Section):
@@ -45,14 +45,14 @@ class MemoryOptions(Section):
     control: Megabytes | None = Field(default=None, description=_MEMORY)
 
     def limit_mb(self, kind: ModuleKind) -> int | None:
-        """The limit of one module."""
+        """The limit of one module; none for a kind that a feature adds."""
         limits: dict[ModuleKind, int | None] = {
             "robot": self.robot,
             "perception": self.perception,
             "inference": self.inference,
             "control": self.control,
         }
-        return limits[kind]
+        return limits.get(kind)
 
 
 class OpsOptions(Section):

@@ -12,10 +12,11 @@ from pydantic import Field
 from rn_standard.ops.incidents import FaultSpans, Incidents
 from rn_standard.ops.server_log import FILE_NAME
 from roboneuron import Arguments, CallContext, InvalidInputError, Resource, Result, Tool
-from roboneuron.feature import ModuleKind, Modules, log_files
+from roboneuron.feature import Modules, log_files
 
 Level = Literal["debug", "info", "warning", "error"]
-Source = Literal["robot", "perception", "inference", "control", "server"]
+SERVER = "server"
+"""In place of a module: the server itself."""
 _LEVELS: tuple[Level, ...] = ("debug", "info", "warning", "error")
 _RANK = {"DEBUG": 0, "INFO": 1, "WARNING": 2, "ERROR": 3, "CRITICAL": 3}
 _ENTRY = re.compile(r"(\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d{3}) (\w+) ([\w.\-]+): (.*)")
@@ -44,7 +45,9 @@ and watchdogs have acted where it mattered.
 class GetLogs(Arguments):
     """Arguments of get_logs."""
 
-    module: Source = Field(description="Module; server: the server's own log.")
+    module: str = Field(
+        description="robot, perception, inference, control ...; server: the server's own log."
+    )
     entries: int = Field(default=50, ge=1, le=500, description="Maximum number; the newest.")
     level: Level = Field(default="debug", description="Minimum level.")
     contains: str = Field(default="", max_length=200, description="Only entries with this text.")
@@ -64,7 +67,7 @@ class LogEntry(Result):
 class LogsResult(Result):
     """The newest entries, oldest first."""
 
-    module: Source
+    module: str
     entries: list[LogEntry]
     more: int = Field(
         description="older entries of the end of the log that are left out; `contains` and "
@@ -77,7 +80,7 @@ class ListIncidents(Arguments):
     """Arguments of list_incidents."""
 
     entries: int = Field(default=10, ge=1, le=100, description="Maximum number; the newest.")
-    module: ModuleKind | None = Field(default=None, description="Only of this module.")
+    module: str | None = Field(default=None, description="Only of this module.")
     id: str | None = Field(
         default=None, max_length=200, description="Only this one, with status, log and actions."
     )
@@ -230,20 +233,34 @@ def parse_entries(lines: tuple[str, ...]) -> list[LogEntry]:
     return entries
 
 
-def log_file(modules: Modules, source: Source) -> Path:
+def log_file(modules: Modules, source: str) -> Path:
     """Log file of a module or of the server; for a module without a process, its future one.
 
     Args:
-        source: a module that has replaced another one may log under the other of its two names.
+        source: `SERVER`, or a module; one that has replaced another may log under the other of its
+            two names.
+
+    Raises:
+        InvalidInputError: there is no such module.
     """
-    if source == "server":
+    if source == SERVER:
         return modules.log_directory / FILE_NAME
+    _check(modules, source)
     settings = modules.slot(source).settings
     name = settings.node_name if settings is not None else source
     return modules.log_directory / f"{name}.log"
 
 
-def log_resource(modules: Modules, source: Source) -> Resource:
+def _check(modules: Modules, name: str) -> None:
+    if name not in modules.slots:
+        raise InvalidInputError(
+            f"There is no module {name[:80]!r}.",
+            hint=f"Modules: {', '.join(modules.slots)}.",
+            path="module",
+        )
+
+
+def log_resource(modules: Modules, source: str) -> Resource:
     """Create the resource with the end of a module's log, or of the server's."""
     return Resource(
         uri=f"roboneuron://logs/{source}",
@@ -277,6 +294,8 @@ def record_tools(modules: Modules, incidents: Incidents) -> list[Tool]:
         )
 
     async def list_incidents(arguments: ListIncidents, context: CallContext) -> IncidentsResult:
+        if arguments.module is not None:
+            _check(modules, arguments.module)
         found = await context.run(lambda _: incidents.listing(200))
         directory, robot = str(incidents.directory), incidents.robot()
         if arguments.id is not None:

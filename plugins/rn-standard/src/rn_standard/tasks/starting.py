@@ -134,7 +134,7 @@ class ParallelStart:
         self._fail(StateError("The start was cancelled: the client cancelled the call."))
 
     def _is_configured(self, kind: ModuleKind) -> bool:
-        return kind in self._requests or getattr(self._loop.config, kind) is not None
+        return kind in self._requests or kind in self._loop.config.module_kinds
 
     def _check(self) -> None:
         if self._failure is not None:

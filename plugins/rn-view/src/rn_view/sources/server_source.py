@@ -14,7 +14,6 @@ from rn_view.diagnostics.event_list import AuditReader, EventList, add_record
 from rn_view.diagnostics.module_health import HealthLines
 from rn_view.sources.records import RobotRecords
 from rn_view.sources.source import (
-    MODULE_KINDS,
     ModuleRow,
     PageState,
     chosen_plugin,
@@ -95,7 +94,7 @@ class ServerSource:
 
     def snapshot(self) -> PageState:
         """See Source."""
-        statuses = [ModuleStatus.of(self._host.modules.view(kind)) for kind in MODULE_KINDS]
+        statuses = [ModuleStatus.of(view) for view in self._host.modules.views()]
         stop = self._host.loop.emergency_stop
         is_latched = stop.is_latched()
         instruction = next(

@@ -16,7 +16,7 @@ from roboneuron.feature import Config, ModuleKind, Registry, StillReason, load_p
 
 M = TypeVar("M")
 MODULE_KINDS: tuple[ModuleKind, ...] = ("robot", "perception", "inference", "control")
-"""In the usual order of starting."""
+"""Core's kinds, in the usual order of starting."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -124,7 +124,7 @@ class PageState:
     """State of the robot at one moment.
 
     Attributes:
-        modules: in the order of `MODULE_KINDS`.
+        modules: in the order of `MODULE_KINDS`, then those of kinds that features add.
         is_latched, cause: of the emergency stop; the cause says who pressed it and why.
         why_still: why the robot does not move, as far as the source knows, see `Host.why_still`.
         instruction: the present instruction of the policy.

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Mapping
-from dataclasses import dataclass
 
 from pydantic import Field
 
@@ -18,48 +16,6 @@ from roboneuron.server.loop import ClosedLoop, StartForm
 from roboneuron.server.tool import Arguments, CallContext, NoArguments, Tool
 from roboneuron.tools.loop.instructing import give_instruction
 from roboneuron.tools.loop.results import InstructionResult, StartResult
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class StartTexts:
-    """Texts of a module kind's start tool.
-
-    Attributes:
-        title, effect: of the tool.
-        proof: evidence of a successful start.
-    """
-
-    title: str
-    effect: str
-    proof: str
-
-
-_TEXTS: Mapping[ModuleKind, StartTexts] = {
-    "robot": StartTexts(
-        title="Start the robot",
-        effect="Connect to the robot, or start its simulation. It stands still until something "
-        "moves it.",
-        proof="its joints are measured",
-    ),
-    "perception": StartTexts(
-        title="Start the cameras",
-        effect="Start the cameras. A simulated robot's cameras need start_robot first.",
-        proof="each camera has delivered an image",
-    ),
-    "control": StartTexts(
-        title="Start the controller",
-        effect="Start the controller, which turns the policy's actions, and move_ee, into joint "
-        "commands. Needs start_robot. The arm stands still until actions come.",
-        proof="it measures the pose of the end effector",
-    ),
-    "inference": StartTexts(
-        title="Start the policy",
-        effect="Load a policy (a vision-language-action model or a classical one). With an "
-        "instruction the robot moves at once. Needs start_perception; to move, also start_robot "
-        "and start_control.",
-        proof="it receives its inputs and, with an instruction, has sent its first action",
-    ),
-}
 
 
 class SetInstruction(Arguments):
@@ -104,7 +60,7 @@ def start_tools(loop: ClosedLoop) -> list[Tool]:
     """Create a start tool for each kind of module, and set_instruction, in the order of
     their use.
     """
-    return [*(_start_tool(loop, kind) for kind in KIND_ENTRIES), _set_instruction(loop)]
+    return [*(_start_tool(loop, kind) for kind in loop.kinds), _set_instruction(loop)]
 
 
 def _set_instruction(loop: ClosedLoop) -> Tool:
@@ -135,7 +91,7 @@ def _set_instruction(loop: ClosedLoop) -> Tool:
 
 
 def _start_tool(loop: ClosedLoop, kind: ModuleKind) -> Tool:
-    entry, texts, form = KIND_ENTRIES[kind], _TEXTS[kind], loop.forms.get(kind)
+    entry, form = loop.kinds[kind], loop.forms.get(kind)
     which = f" The configured one is the {loop.robot_facts}." if entry.kind == "robot" else ""
 
     async def handler(request: Arguments, context: CallContext) -> StartResult:
@@ -151,8 +107,8 @@ def _start_tool(loop: ClosedLoop, kind: ModuleKind) -> Tool:
 
     return Tool(
         name=f"start_{entry.kind}",
-        title=texts.title,
-        description=f"{texts.effect}{which} Returns when {texts.proof}.",
+        title=entry.title,
+        description=f"{entry.start_text}{which} Returns when {entry.proof}.",
         offered=loop.takes_policies if entry.kind == "inference" else lambda: True,
         arguments=NoArguments if form is None else form.arguments,
         choices={} if form is None else dict(form.choices),
