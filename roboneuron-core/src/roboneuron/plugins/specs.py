@@ -298,9 +298,8 @@ class FeatureSpec(Spec):
     """An extension of the server: tools, resources, a transport, reactions to events.
 
     Attributes:
-        sections: top-level keys of roboneuron.toml that belong to it. Empty: one section with the
-            feature's name in underscores, whose model is `config`. Otherwise `config` has one field
-            for each key.
+        sections: top-level keys of roboneuron.toml that belong to it, for each of which `config`
+            has a field. Empty: one with the feature's name in underscores, whose model it is.
         transports: values of `[server] transport` that it serves.
         brings: "module:attribute" of the descriptor class of an additional kind; its module, as
             light as a plugin module, also has the specification (`hookspec`) of its hook,
@@ -321,8 +320,7 @@ class FeatureSpec(Spec):
         fleet_config: "module:attribute" of a function that reads a file with several robots:
             called with the tables, the file's name and the Registry, returns the Config.
         declared_robot: "module:attribute" of a light function from `[robot]` to its `RobotSpec`.
-        switch: name of an option, true or false, of its first section; `roboneuron serve --NAME`,
-            NAME being the feature's, sets it to true. None for no such flag.
+        switch: boolean option of its first section; `roboneuron serve --<feature>` sets it.
     """
 
     kind: ClassVar[str] = "feature"
