@@ -31,7 +31,7 @@ STYLES = {
 """Colour of each status."""
 _CODES = {"bold": "1", "dim": "2", "red": "31", "green": "32", "yellow": "33"}
 _HEADING = ("KIND", "NAME", "STATUS", "PLUGIN", "SUMMARY")
-_MOST_NAMES, _FIRST_NAMES = 40, 8
+_MOST_NAMES, _FIRST_NAMES = 40, 4
 """Number of offers of one kind from which the short list is truncated, and the number it then
 shows.
 """
