@@ -9,15 +9,17 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from rclpy.serialization import deserialize_message, serialize_message
 from recorder_demonstrations import record_run, rewritten, store_in
 from std_msgs.msg import Float64MultiArray, String
 
-from rn_recorder_runs import lerobot
+from rn_recorder_runs.data_sets import DataSetEpisode, DataSetFormat, write_data_set
 from rn_recorder_runs.files import Record, RunFile, read_records
 from rn_recorder_runs.images import to_string
 from rn_recorder_runs.lerobot import export
+from rn_recorder_runs.lerobot_meta import vector
 from rn_recorder_runs.store import Run
 from roboneuron import StateError
 
@@ -104,6 +106,9 @@ def test_a_limit_that_is_infinite_is_told_as_text(tmp_path: Path) -> None:
 
 
 def test_no_file_of_a_data_set_has_a_number_that_json_lacks(tmp_path: Path) -> None:
-    with pytest.raises(StateError, match=r"stats\.json would contain a number"):
-        lerobot._write_json(tmp_path / "stats.json", {"mean": math.nan})
-    assert not (tmp_path / "stats.json").exists()
+    form = DataSetFormat({"action": vector("float32", ["x"])}, 10, "h264", None)
+    rows = [np.zeros(1, np.float32)] * 2
+    episode = DataSetEpisode("wave", 2, {"action": rows}, iter([{}, {}]))
+    with pytest.raises(StateError, match=r"roboneuron\.json would contain a number"):
+        write_data_set(tmp_path / "set", form, [episode], {"mean": math.nan})
+    assert not (tmp_path / "set/meta/roboneuron.json").exists()
