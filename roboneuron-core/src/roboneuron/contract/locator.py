@@ -7,14 +7,12 @@ from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
 
-from roboneuron.contract.arrays import freeze
+from roboneuron.contract.arrays import F64, freeze
 from roboneuron.contract.camera_view import CameraView
 from roboneuron.contract.observation import Frame
 from roboneuron.errors import InvalidInputError
 
-F64 = NDArray[np.float64]
 MOST_LABELS, MOST_LABEL = 16, 60
 """Most labels in one question, and their most characters."""
 

@@ -8,13 +8,11 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from roboneuron.contract.arrays import F64
 from roboneuron.contract.locator import CalibratedImage, LocatedObject
 from roboneuron.sight.depth import DepthOptions, SurfaceBox, surface_boxes, told_box
 from roboneuron.sight.rays import MEET_M, Ray, grouped, ray_through
-
-F64 = NDArray[np.float64]
 
 _SAME_BOX, _SAME_SURFACE = 0.6, 0.3
 """Overlap of two boxes of one object in a picture, and of a box and the surface that it shows, as a

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 from typing import TypedDict
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
+from roboneuron.contract.arrays import F64
 from roboneuron.contract.locator import CalibratedImage, LocatedObject
 from roboneuron.errors import StateError
 from roboneuron.sight.cube import (
@@ -22,8 +22,6 @@ from roboneuron.sight.cube import (
 )
 from roboneuron.sight.rays import MEET_M, grouped, ray_through
 from roboneuron.sight.segmentation import Blob, Mask, balanced, blobs_of, colour_masks
-
-F64 = NDArray[np.float64]
 
 _QUARTER = np.pi / 2
 _P95 = 2.448

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from roboneuron.contract.arrays import F64
 from roboneuron.contract.camera_view import CameraView
 from roboneuron.sight.segmentation import Blob, find_blob
 
 __all__ = ["CubeEstimate", "cube_corners"]
 """Names that other distributions may use."""
 
-F64 = NDArray[np.float64]
 
 _DIRECTIONS = 24
 _HALF_PIXEL = 0.35

@@ -6,9 +6,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
+from roboneuron.contract.arrays import F64
 from roboneuron.contract.locator import CalibratedImage, LocatedObject
 from roboneuron.errors import StateError
 from roboneuron.sight.footprint import Footprint, footprint_of
@@ -21,8 +21,6 @@ from roboneuron.sight.surface import (
     table_of,
     top_of,
 )
-
-F64 = NDArray[np.float64]
 
 _QUARTER = np.pi / 2
 _SQUARE = 0.12

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-F64 = NDArray[np.float64]
+from roboneuron.contract.arrays import F64
 
 _QUARTER = np.pi / 2
 _COARSE, _FINE = 45, 21

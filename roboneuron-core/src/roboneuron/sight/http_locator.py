@@ -29,17 +29,15 @@ from dataclasses import dataclass
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from roboneuron import foreign
+from roboneuron.contract.arrays import F64
 from roboneuron.contract.locator import CalibratedImage, LocatedObject
 from roboneuron.errors import ConfigurationError, ForeignDataError, StateError
 from roboneuron.plugins.specs import ConfigurationOnly
 from roboneuron.sight.boxes import ImageDetection, place_detections
 from roboneuron.sight.endpoint import HttpEndpoint
-
-F64 = NDArray[np.float64]
 
 _MOST_BYTES = 1 << 20
 _MOST_FOUND, _MOST_LABEL = 256, 60

@@ -6,7 +6,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from roboneuron.contract.locator import CalibratedImage, LocatedObject
 from roboneuron.sight.cell_view import CellView
@@ -19,8 +18,6 @@ from roboneuron.sight.sightlines import (
     may_be_at,
     nearest_on_line,
 )
-
-F64 = NDArray[np.float64]
 
 _KEPT_S = 600.0
 IN_HAND_M = 0.06

@@ -6,13 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from roboneuron.contract.arrays import F64
 from roboneuron.contract.locator import CalibratedImage, LocatedObject
 from roboneuron.errors import RefusedError
 from roboneuron.sight.rays import Ray, ray_through
-
-F64 = NDArray[np.float64]
 
 POINTING_PX = 1.5
 """A pixel is pointed at within this distance with a probability of 95 %."""

@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections import deque
 
 import numpy as np
-from numpy.typing import NDArray
 
 from roboneuron.contract import Pose
+from roboneuron.contract.arrays import F64
 
 __all__ = ["PoseHistory"]
 """Names that other distributions may use."""
 
-F64 = NDArray[np.float64]
 
 _LENGTH = 40
 _AHEAD_NS = 50_000_000

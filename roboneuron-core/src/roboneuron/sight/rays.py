@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roboneuron.contract import CameraCalibration, Observation, Pose
+from roboneuron.contract.arrays import F64
 from roboneuron.contract.camera_view import CameraView
 from roboneuron.contract.locator import CalibratedImage
 from roboneuron.sight.segmentation import LEAST_AREA_PX, colour_mask
@@ -17,7 +18,6 @@ from roboneuron.sight.segmentation import LEAST_AREA_PX, colour_mask
 __all__ = ["rays_of"]
 """Names that other distributions may use."""
 
-F64 = NDArray[np.float64]
 
 _CELL_PX = 16
 _WIDTH_PX = 224

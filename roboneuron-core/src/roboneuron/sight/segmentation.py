@@ -8,10 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from roboneuron.contract.arrays import F64
+
 __all__ = ["HUES_DEG", "visible_colours"]
 """Names that other distributions may use."""
 
-F64 = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 HUES_DEG = {

@@ -6,13 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from roboneuron.contract.arrays import F64
 from roboneuron.contract.locator import CalibratedImage, LocatedObject
 from roboneuron.sight.pointing import distance_to_box
 from roboneuron.sight.rays import Ray
-
-F64 = NDArray[np.float64]
 
 GOOD_M = 0.012
 """Uncertainty up to which a whole outline tells a place."""

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from roboneuron.contract.arrays import F64
 from roboneuron.contract.locator import CalibratedImage
 from roboneuron.sight.segmentation import Mask, regions
 
-F64 = NDArray[np.float64]
 F32 = NDArray[np.float32]
 
 _STEP = 4

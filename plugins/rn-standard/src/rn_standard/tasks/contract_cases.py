@@ -26,9 +26,8 @@ from rn_testing.process_state import find_changes
 from rn_testing.rule import NotApplicable, Rule, require
 from rn_testing.rules import OF_EVERY_DESCRIPTOR
 from rn_testing.snapshots import snapshot
-from roboneuron import CameraCalibration, Frame, Observation, Pose
+from roboneuron import F64, CameraCalibration, Frame, Observation, Pose
 
-F64 = NDArray[np.float64]
 _SURE = 0.9
 """Default of `at_least`: the score from which a predicate is true."""
 SCORE_LIMIT_S = 0.05

@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from rn_standard.tasks.monitor import Score
-from roboneuron import Observation
+from roboneuron import F64, Observation
 from roboneuron.sight.rays import rays_of
 
-F64 = NDArray[np.float64]
 Colour = Literal["red", "orange", "yellow", "green", "blue", "purple"]
 _Point = Annotated[tuple[float, float, float], Field(strict=False)]
 _BESIDE_M = 0.03

@@ -8,9 +8,6 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from functools import partial
 
-import numpy as np
-from numpy.typing import NDArray
-
 from rn_standard.tasks.approval import Approval, Subject
 from rn_standard.tasks.arbiter import CHANGES_POLICY, TaskArbiter
 from rn_standard.tasks.events import LEADS, MONITORS, TASKS, EventLog, Watching, check_thresholds
@@ -30,6 +27,7 @@ from rn_standard.tasks.short_words import WORDS
 from rn_standard.tasks.task_calls import TaskCalls
 from rn_standard.teleoperation.feature import TELEOPERATION, Teleoperation
 from roboneuron import (
+    F64,
     CallContext,
     ConfigurationError,
     Feature,
@@ -85,7 +83,6 @@ EXAMPLES: dict[str, dict[str, object]] = {
 """Predicate by its meaning."""
 
 
-F64 = NDArray[np.float64]
 PREDICATES_URI = "roboneuron://tasks/predicates"
 _CLOSE_S = 3.0
 _EXAMPLES = 3

@@ -6,13 +6,13 @@ from collections.abc import Awaitable, Callable, Mapping, Sequence
 from typing import Annotated, Any, Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from rn_standard.tasks.named_targets import Places
 from rn_standard.tasks.options import PlaceOptions
 from rn_standard.tasks.run_task import profile_of
 from roboneuron import (
+    F64,
     Arguments,
     ArmProfile,
     CallContext,
@@ -33,7 +33,6 @@ from roboneuron.tools.arm.options import fastest
 
 _ABOVE_M = 0.10
 """Height of the TCP over the top of an object to which it moves."""
-F64 = NDArray[np.float64]
 PoseNow = Callable[[str], tuple[F64, F64]]
 """Waits for the measured TCP pose of an arm, "" for the only one; returns position (3,) [m] and
 rotation (3, 3) in the base frame.

@@ -11,12 +11,11 @@ from itertools import islice
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from roboneuron.contract import EE_DELTA, GRIPPER, ActionChunk, Ahead, ControlSpace
+from roboneuron.contract.arrays import F64
 from roboneuron.modules.inference import execution
 
-F64 = NDArray[np.float64]
 FADE_ROWS = 4
 """Rows over which old deltas are cross-faded into new ones; more rows hardly make the transition
 smoother (simulated).

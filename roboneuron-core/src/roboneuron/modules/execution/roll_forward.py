@@ -7,7 +7,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from roboneuron.contract import (
     EE_DELTA,
@@ -20,8 +19,7 @@ from roboneuron.contract import (
     Pose,
     apply_delta,
 )
-
-F64 = NDArray[np.float64]
+from roboneuron.contract.arrays import F64
 
 
 def roll_forward(

@@ -6,9 +6,9 @@ from collections.abc import Awaitable, Callable, Sequence
 
 import numpy as np
 
+from roboneuron.contract.arrays import F64
 from roboneuron.contract.rotation import matrix_from_quaternion, rotvec_from_matrix
 from roboneuron.errors import InvalidInputError, NotReadyError
-from roboneuron.tools.arm.ee_line import F64
 from roboneuron.tools.arm.ee_move import AXES
 
 __all__ = ["go_to", "wanted_rotation"]

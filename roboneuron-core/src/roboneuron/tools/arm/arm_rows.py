@@ -18,7 +18,7 @@ from roboneuron.contract import (
     apply_delta,
     robot_space,
 )
-from roboneuron.tools.arm.ee_line import F64
+from roboneuron.contract.arrays import F64
 
 _AT_ORIGIN = Pose(position_m=np.zeros(3), quaternion_xyzw=np.array([0.0, 0.0, 0.0, 1.0]))
 

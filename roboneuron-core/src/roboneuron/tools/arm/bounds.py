@@ -6,9 +6,9 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
+from roboneuron.contract.arrays import F64
 from roboneuron.errors import InvalidInputError, RefusedError, RoboNeuronError
 from roboneuron.server.host import Host
-from roboneuron.tools.arm.ee_line import F64
 from roboneuron.tools.arm.end_effector import EndEffectorMover
 from roboneuron.tools.arm.routes import Waypoint, rehearse
 from roboneuron.tools.arm.several_arms import OfArm

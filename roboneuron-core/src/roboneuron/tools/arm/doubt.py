@@ -8,6 +8,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from roboneuron.contract.arrays import F64
 from roboneuron.contract.locator import LocatedObject
 from roboneuron.errors import RefusedError
 from roboneuron.server.tool import CallContext
@@ -15,7 +16,6 @@ from roboneuron.sight.looker import Looker
 from roboneuron.sight.marks import CellLook, told_name
 from roboneuron.sight.sightlines import is_covered, is_seen_well
 from roboneuron.supervisor.changes import Stage
-from roboneuron.tools.arm.ee_line import F64
 from roboneuron.tools.arm.end_effector import EndEffectorMover
 from roboneuron.tools.arm.routes import RobotCarrier, Waypoint, rehearse, run_route
 

@@ -7,9 +7,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from roboneuron.contract import Pose
+from roboneuron.contract.arrays import F64
 from roboneuron.contract.rotation import (
     matrix_from_quaternion,
     matrix_from_rotvec,
@@ -18,7 +18,6 @@ from roboneuron.contract.rotation import (
 from roboneuron.errors import RefusedError, StateError
 from roboneuron.tools.arm.progress import MotionProgress
 
-F64 = NDArray[np.float64]
 STEP_S = 0.1
 """Time between two actions."""
 _RESERVE = 0.97

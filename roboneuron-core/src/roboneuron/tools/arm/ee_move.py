@@ -8,9 +8,10 @@ import numpy as np
 from pydantic import Field
 
 from roboneuron.contract import Pose
+from roboneuron.contract.arrays import F64
 from roboneuron.errors import InvalidInputError
 from roboneuron.server.tool import Arguments, Result
-from roboneuron.tools.arm.ee_line import F64, Order, difference, remaining, rounded
+from roboneuron.tools.arm.ee_line import Order, difference, remaining, rounded
 
 AXES = ("dx_m", "dy_m", "dz_m", "rx_rad", "ry_rad", "rz_rad")
 """Fields of a move, in the order of its six numbers."""

@@ -14,6 +14,7 @@ from itertools import count
 import numpy as np
 
 from roboneuron.contract import Pose, RobotProfile
+from roboneuron.contract.arrays import F64
 from roboneuron.errors import InvalidInputError, RefusedError, RoboNeuronError, StateError
 from roboneuron.server.clock import MotionTiming
 from roboneuron.server.host import Host
@@ -23,7 +24,6 @@ from roboneuron.server.tool import CallContext
 from roboneuron.supervisor.changes import Stage
 from roboneuron.tools.arm.arm_rows import ArmRows, Rest, to_message
 from roboneuron.tools.arm.ee_line import (
-    F64,
     STEP_S,
     Order,
     rounded,

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from roboneuron.contract import Pose
+from roboneuron.contract.arrays import F64
 from roboneuron.contract.locator import LocatedObject
 from roboneuron.errors import RefusedError
 from roboneuron.sight.marks import told_name
 from roboneuron.tools.arm.absolute import top_down
 from roboneuron.tools.arm.doubt import UnclearError
-from roboneuron.tools.arm.ee_line import F64
 from roboneuron.tools.arm.hand_space import (
     UprightBox,
     gap_m,

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from roboneuron.contract.arrays import F64
 from roboneuron.contract.locator import LocatedObject
 from roboneuron.sight.marks import told_name
-from roboneuron.tools.arm.ee_line import F64
 from roboneuron.tools.arm.options import HandOptions
 
 _FAR = 1e3
@@ -128,8 +128,3 @@ def nearest_obstacle(
         if other.top_m > part.bottom_m
     ]
     return min(gaps, default=(np.inf, ""))
-
-
-def supports(boxes: Iterable[UprightBox], footprint: UprightBox) -> list[UprightBox]:
-    """Boxes below or above a footprint."""
-    return [box for box in boxes if gap_m(box, footprint) < 0]

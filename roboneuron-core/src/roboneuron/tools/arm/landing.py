@@ -7,11 +7,11 @@ from typing import ClassVar
 
 import numpy as np
 
+from roboneuron.contract.arrays import F64
 from roboneuron.contract.locator import LocatedObject
 from roboneuron.errors import StateError
 from roboneuron.sight.marks import CellLook, name_of, nearest_like, told_name
 from roboneuron.sight.sightlines import is_seen_well, may_be_at
-from roboneuron.tools.arm.ee_line import F64
 
 MISS_M = 0.02
 """Largest distance of an object from where it was to be, beyond its uncertainty."""

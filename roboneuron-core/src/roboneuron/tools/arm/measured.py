@@ -9,9 +9,9 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from roboneuron.contract import Pose
+from roboneuron.contract.arrays import F64
 from roboneuron.errors import NotReadyError
 from roboneuron.server.host import Host
 from roboneuron.sight.inputs import pose_of
@@ -29,7 +29,6 @@ machine, which reads as a limit that did not hold).
 """
 _KEPT_S, BUCKET_S = 3600, 0.25
 """Time for which speeds are kept, by parts of a second."""
-F64 = NDArray[np.float64]
 
 
 class SpeedMeter:

@@ -11,6 +11,7 @@ import numpy as np
 from pydantic import Field
 
 from roboneuron.contract import Pose
+from roboneuron.contract.arrays import F64
 from roboneuron.contract.locator import LocatedObject
 from roboneuron.contract.rotation import matrix_from_quaternion
 from roboneuron.errors import InvalidInputError, RefusedError, StateError
@@ -25,7 +26,6 @@ from roboneuron.tools.arm.absolute import top_down, yaw_of
 from roboneuron.tools.arm.bounds import check_route
 from roboneuron.tools.arm.displacement import FOLLOW_M, Surroundings, displaced
 from roboneuron.tools.arm.doubt import judged, planned
-from roboneuron.tools.arm.ee_line import F64
 from roboneuron.tools.arm.end_effector import EndEffectorMover
 from roboneuron.tools.arm.grasps import boxes_of, check_uncovered
 from roboneuron.tools.arm.grip_height import GripHeight

@@ -9,13 +9,13 @@ from typing import Literal
 import numpy as np
 
 from roboneuron.contract import Pose
+from roboneuron.contract.arrays import F64
 from roboneuron.contract.locator import LocatedObject
 from roboneuron.contract.rotation import matrix_from_quaternion
 from roboneuron.errors import InvalidInputError, RefusedError
 from roboneuron.sight.looker import Looker, seen_target
 from roboneuron.sight.marks import CellLook, name_of, told_name
 from roboneuron.tools.arm.absolute import top_down, yaw_of
-from roboneuron.tools.arm.ee_line import F64
 from roboneuron.tools.arm.hand_space import (
     UprightBox,
     gap_m,

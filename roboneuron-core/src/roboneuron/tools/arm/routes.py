@@ -12,12 +12,12 @@ from typing import Protocol
 import numpy as np
 
 from roboneuron.contract import Pose
+from roboneuron.contract.arrays import F64
 from roboneuron.contract.rotation import matrix_from_quaternion
 from roboneuron.errors import RefusedError, RoboNeuronError, StateError
 from roboneuron.server.rehearsal import DrivenArm, Rehearsal
 from roboneuron.server.tool import CallContext
 from roboneuron.tools.arm.absolute import go_to
-from roboneuron.tools.arm.ee_line import F64
 from roboneuron.tools.arm.ee_move import MoveEndEffector
 from roboneuron.tools.arm.end_effector import EndEffectorMover
 from roboneuron.tools.arm.grip import Grip
