@@ -20,10 +20,8 @@ SCRIPT = Path(__file__).parents[3] / "benchmarks" / "bench_link_faults.py"
 CHOSEN = {
     0: "cable cut",
     1: "replayed answer",
-    4: "packets lost both ways",
     12: "server frozen",
     15: "garbage",
-    16: "model frozen",
     20: "server killed",
     22: "server killed",
     45: "answers' records twice",
