@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
+import socket
+import ssl
 import sys
 from pathlib import Path
 from typing import Any
@@ -26,9 +29,12 @@ from policy_servers import (
     said_to,
 )
 from pydantic import ValidationError
+from websockets.asyncio.client import connect
+from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import InvalidMessage
 
 from rn_backend_openpi.backend import PolicyBackend
+from rn_backend_openpi.listener import HANDSHAKE_S, STRANGERS, Listener
 from rn_backend_openpi.options import PolicyOptions
 from rn_backend_openpi.security import Guard, is_loopback, place_of
 from rn_backend_openpi.server_options import ListenOptions
@@ -115,6 +121,36 @@ def test_a_key_that_others_may_use_is_refused(
     place.chmod(mode)
     with pytest.raises(ConfigurationError, match="others can read"):
         Guard(ListenOptions.model_validate(listen))
+
+
+def test_handshakes_of_tls_are_few(files: dict[str, str]) -> None:
+    """The oldest of too many ends at once, and keeps nobody out."""
+    listen = {"keys": "none", "certificate": files["certificate"], "key": files["key"]}
+    trust = ssl.create_default_context(cafile=files["certificate"])
+
+    async def scenario() -> None:
+        entered = asyncio.Event()
+
+        async def handle(_: ServerConnection) -> None:
+            entered.set()
+
+        listener = Listener(handle, most=1, pages={})
+        listening = socket.create_server(("127.0.0.1", 0))
+        port = listening.getsockname()[1]
+        context = Guard(ListenOptions.model_validate(listen)).context
+        async with await listener.open(listening, context):
+            streams = [
+                await asyncio.open_connection("127.0.0.1", port) for _ in range(STRANGERS + 2)
+            ]
+            oldest, _, kept, *_ = (reader for reader, _ in streams)
+            assert await asyncio.wait_for(oldest.read(), HANDSHAKE_S / 2) == b""
+            assert not kept.at_eof()
+            async with connect(f"wss://127.0.0.1:{port}", ssl=trust):
+                await asyncio.wait_for(entered.wait(), 10.0)
+            for _, writer in streams:
+                writer.close()
+
+    asyncio.run(scenario())
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "::1", "localhost"])

@@ -8,6 +8,7 @@ import logging
 import os
 import socket
 import ssl
+from asyncio.trsock import TransportSocket
 from collections.abc import Awaitable, Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from http import HTTPStatus
@@ -28,7 +29,7 @@ HANDSHAKE_S = 5.0
 """Longest opening handshake, TLS included."""
 SEND_S = 2.0
 """Time after which a client that does not read is disconnected."""
-_STRANGERS = 64
+STRANGERS = 64
 """Connections beyond the clients that may be in their handshake at the same time."""
 _CLOSE_S = 1.0
 _SILENT_S = 5.0
@@ -113,6 +114,8 @@ class Listener:
         pages: Mapping[str, Page],
     ) -> None:
         self._handle, self._most, self._admit, self._pages = handle, most, admit, pages
+        # accepted and in their handshake of TLS, by descriptor, oldest first
+        self._begun: dict[int, socket.socket] = {}
         self._unknown: dict[CountedConnection, None] = {}
         self.clients: dict[CountedConnection, None] = {}
         self.refused = 0
@@ -140,7 +143,7 @@ class Listener:
         timeout_s = None if tls is None else HANDSHAKE_S
         return await serve(
             self._handle,
-            sock=listening,
+            sock=_Listening(listening, self.accepted),
             ssl=tls,
             ssl_handshake_timeout=timeout_s,
             **self._options(),
@@ -152,11 +155,24 @@ class Listener:
             os.unlink(path)
         return await unix_serve(self._handle, path, backlog=_BACKLOG, **self._options())
 
-    def entered(self, connection: CountedConnection) -> None:
-        """Register a new connection. If too many are in their handshake, abort the oldest of them:
-        that of a real client takes milliseconds.
+    def accepted(self, connected: socket.socket) -> None:
+        """Register a new connection before its handshake of TLS. If too many are in it, end the
+        oldest of them.
         """
-        if len(self._unknown) >= _STRANGERS:
+        self._begun = {number: one for number, one in self._begun.items() if one.fileno() == number}
+        if len(self._begun) >= STRANGERS:
+            oldest = self._begun.pop(next(iter(self._begun)))
+            with suppress(OSError):  # it has ended already
+                oldest.shutdown(socket.SHUT_RDWR)
+        self._begun[connected.fileno()] = connected
+
+    def entered(self, connection: CountedConnection, plain: TransportSocket | None) -> None:
+        """Register a connection at the start of its opening handshake. If too many are in it, abort
+        the oldest of them: that of a real client takes milliseconds.
+        """
+        if plain is not None:
+            self._begun.pop(plain.fileno(), None)
+        if len(self._unknown) >= STRANGERS:
             oldest = next(iter(self._unknown))
             self.left(oldest)
             oldest.transport.abort()
@@ -184,6 +200,20 @@ class Listener:
         self._unknown.pop(connection, None)
         self.clients[connection] = None
         return None
+
+
+class _Listening(socket.socket):
+    """A listening socket that tells whom it accepts; takes the place of another one."""
+
+    def __init__(self, listening: socket.socket, tell: Callable[[socket.socket], None]) -> None:
+        super().__init__(fileno=listening.detach())
+        self._tell = tell
+
+    def accept(self) -> tuple[socket.socket, Any]:
+        """Accept a connection. Raises OSError."""
+        connected, address = super().accept()
+        self._tell(connected)
+        return connected, address
 
 
 class Piped(Connection):
@@ -255,8 +285,8 @@ class CountedConnection(Piped, ServerConnection):
             self._slow.cancel()
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        self.owner.entered(self)
         plain = transport.get_extra_info("socket")
+        self.owner.entered(self, plain)
         if plain is not None and plain.family != socket.AF_UNIX:
             tune(plain, _SILENT_S)
         super().connection_made(transport)
