@@ -1,8 +1,11 @@
-"""The ports of two relays, joined in memory: announcements, answers, and a succeeding relay."""
+"""The relay's part in ROS: announcements get addresses that represent another machine, messages to
+these reach the participant that announced itself; everything else stays unchanged.
+"""
 
 from __future__ import annotations
 
 import asyncio
+import os
 import socket
 import struct
 from collections.abc import AsyncIterator
@@ -13,19 +16,81 @@ import pytest
 from rn_link import ports
 from rn_link.machine import DISCOVERY_PORT
 from rn_link.ports import ParticipantPort, Ports, address_of
+from rn_link.rtps import domain_of, read_announcement, with_places
 
-SPDP = bytes.fromhex("000100c2")
 LOOPBACK = "127.0.0.1"
 DOMAIN_PORTS = range(64_900, 65_150)
 """Ports of domain 230."""
-RELAYS = {"robot": "127.90.0.2", "gpu": "127.90.0.3"}
+PID = os.getpid()
+RELAYS = {
+    "robot": f"127.92.{PID >> 8 & 255}.{PID & 255}",
+    "gpu": f"127.93.{PID >> 8 & 255}.{PID & 255}",
+}
+PARTICIPANT = b"a participan"
+SPDP, SEDP, USER = (bytes.fromhex(text) for text in ("000100c2", "000003c2", "00001203"))
+THERE = bytes((127, 90, 1, 2))
+PLACES = dict.fromkeys(range(2**16), (THERE, 40000))
+HERE = bytes((127, 0, 0, 1))
+
+
+def locator(pid: int, port: int, address: bytes = HERE, kind: int = 1) -> bytes:
+    return struct.pack("<HHiI12x4s", pid, 24, kind, port, address)
+
+
+def data(writer: bytes, payload: bytes, kind: int = 0x15) -> bytes:
+    body = struct.pack("<HH4s4sq", 0, 16, bytes(4), writer, 1) + b"\0\3\0\0" + payload
+    return struct.pack("<BBH", kind, 5, len(body)) + body
+
+
+def stamped(*submessages: bytes, of: bytes = PARTICIPANT) -> bytes:
+    return b"RTPS\2\3\1\x0f" + of + struct.pack("<BBHq", 0x09, 1, 8, 0) + b"".join(submessages)
+
+
+def test_a_participants_ports_are_read_and_its_address_changed() -> None:
+    message = stamped(
+        data(SPDP, locator(0x32, 7412) + locator(0x31, 7413) + locator(0x33, 7400)),
+        data(SEDP, locator(0x2F, 7413)),
+    )
+    found = read_announcement(message)
+    assert found.ports == {7412, 7413}
+    assert found.metatraffic == {7412}
+    assert found.domains == {0}
+    assert found.participant == PARTICIPANT
+    moved = with_places(message, {7412: (THERE, 40001), 7413: (THERE, 40002)})
+    assert len(moved) == len(message)
+    assert moved.count(THERE) == 3
+    assert moved.count((40002).to_bytes(2, "little")) == 2
+    assert with_places(moved, PLACES) == moved
+    assert moved.count(HERE) == 1, "that of multicast"
+    assert read_announcement(moved).ports == set()
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        stamped(data(USER, locator(0x32, 7412))),
+        stamped(data(SPDP, b"", kind=0x16)),
+        stamped(data(SPDP, locator(0x32, 7412, kind=16))),
+        stamped(data(SPDP, locator(0x31, 7413, bytes((10, 0, 0, 1))))),
+    ],
+    ids=["data of users", "fragment", "shared memory", "another address"],
+)
+def test_everything_else_stays_as_it_is(message: bytes) -> None:
+    assert with_places(message, PLACES) == message
+    assert not read_announcement(message).ports
+
+
+def test_the_last_part_of_a_message_may_have_no_length() -> None:
+    part = data(SPDP, locator(0x32, 7662))
+    assert read_announcement(stamped(part[:2] + b"\0\0" + part[4:])).domains == {1}
+    assert [domain_of(port) for port in (7410, 7649, 7650, 65410)] == [0, 0, 1, 232]
 
 
 class Participant:
     """A ROS participant, as seen by the relay."""
 
-    def __init__(self, name: bytes) -> None:
-        self.name = name.ljust(12, b"\0")
+    def __init__(self, name: str) -> None:
+        self.name = f"{name}{PID}".encode().ljust(12, b"\0")
         self.metatraffic, self.data = (self._open() for _ in range(2))
 
     def _open(self) -> socket.socket:
@@ -44,13 +109,9 @@ class Participant:
         return ParticipantPort(self.name, self.data.getsockname()[1])
 
     def announce(self, relay: str) -> None:
-        locators = b"".join(
-            struct.pack("<HHiI12x4s", pid, 24, 1, one.getsockname()[1], bytes((127, 0, 0, 1)))
-            for pid, one in ((0x32, self.metatraffic), (0x31, self.data))
-        )
-        body = struct.pack("<HH4s4sq", 0, 16, bytes(4), SPDP, 1) + b"\0\3\0\0" + locators
-        message = b"RTPS\2\3\1\x0f" + self.name + struct.pack("<BBH", 0x15, 5, len(body)) + body
-        self.data.sendto(message, (relay, DISCOVERY_PORT))
+        places = ((0x32, self.metatraffic), (0x31, self.data))
+        locators = b"".join(locator(pid, one.getsockname()[1]) for pid, one in places)
+        self.data.sendto(stamped(data(SPDP, locators), of=self.name), (relay, DISCOVERY_PORT))
 
     async def receive(self, on: socket.socket) -> bytes:
         loop = asyncio.get_running_loop()
@@ -102,7 +163,7 @@ async def cell(
     with ExitStack() as stack:
         relays = Relays(monkeypatch)
         stack.callback(lambda: relays.close())
-        near, far = (stack.enter_context(closing(Participant(name))) for name in (b"near", b"far"))
+        near, far = (stack.enter_context(closing(Participant(name))) for name in ("near", "far"))
         yield relays, near, far
 
 

@@ -16,6 +16,7 @@ from rn_link.machine import PORT, Machine, check_address, link_folder, read_mach
 from rn_link.state import PeerConnection, read_connections
 from roboneuron import ConfigurationError, foreign
 
+_say = partial(print, flush=True)
 _RESTART = "Restart the server and its modules if they were running before the first pairing."
 _FOLLOWS = "Running processes follow within two seconds."
 _UNKNOWN = PeerConnection(error="it is being connected", hint="Look again in a moment.")
@@ -175,8 +176,3 @@ def check_code(text: str) -> str:
             "The code is not six digits.", hint="`roboneuron link add NAME` on the hub shows it."
         )
     return code
-
-
-def _say(line: str) -> None:
-    sys.stdout.write(f"{line}\n")
-    sys.stdout.flush()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import errno
 import socket
 import ssl
 import struct
@@ -91,25 +90,20 @@ class PeerLink:
             await asyncio.sleep(PAUSE_S)
 
     def _fail(self, error: OSError | EOFError) -> None:
-        told = "the other side has ended it" if isinstance(error, EOFError) else str(error)
-        hint = self._hint(error)
-        self._tell(self._name, PeerConnection(error=told or "no answer", hint=hint))
-
-    def _hint(self, error: OSError | EOFError) -> str:
-        name = self._name
+        name, address = self._name, self._machine.peers[self._name].address
         if isinstance(error, ssl.SSLError):
-            return (
+            hint = (
                 f"Pair it again: `roboneuron link remove {name}` and `link add {name}` on the hub."
             )
-        if isinstance(error, OSError) and error.errno == errno.EADDRINUSE:
-            return "End the process that uses that port."
-        if self._machine.role == "member":
-            return f"Start RoboNeuron on {name}; it has to reach TCP {PORT} here."
-        address = self._machine.peers[name].address
-        return (
-            f"Is {name} on, {address} its address, its TCP port {PORT} open, and RoboNeuron or "
-            "`roboneuron link run` started there?"
-        )
+        elif self._machine.role == "hub":
+            hint = (
+                f"Is {name} on, {address} its address, its TCP port {PORT} open, and RoboNeuron or "
+                "`roboneuron link run` started there?"
+            )
+        else:
+            hint = f"Start RoboNeuron on {name}; it has to reach TCP {PORT} here."
+        told = "the other side has ended it" if isinstance(error, EOFError) else str(error)
+        self._tell(name, PeerConnection(error=told or "no answer", hint=hint))
 
     async def _connect(self, context: ssl.SSLContext) -> None:
         """Connect to a member until the connection ends."""
