@@ -12,6 +12,7 @@ from xml.etree import ElementTree
 import pytest
 from link_pairs import admit, make_hub
 
+from rn_link.environment import fast_dds_profile
 from rn_link.keys import (
     add_peer,
     check_new_peer,
@@ -163,8 +164,8 @@ def test_a_bad_name_or_address_is_refused(
             check(value)
 
 
-def test_plain_udp_stays_on_loopback(gpu: Path) -> None:
-    root = ElementTree.fromstring((gpu / "fastdds.xml").read_text())
+def test_plain_udp_stays_on_loopback() -> None:
+    root = ElementTree.fromstring(fast_dds_profile())
     for transport in root.iter(f"{{{NAMESPACE}}}transport_descriptor"):
         kind = transport.findtext(f"{{{NAMESPACE}}}type")
         addresses = [one.text for one in transport.iter(f"{{{NAMESPACE}}}address")]

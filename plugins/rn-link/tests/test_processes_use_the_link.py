@@ -13,7 +13,15 @@ import psutil
 import pytest
 from link_pairs import admit, make_hub
 
-from rn_link.environment import OTHERS, RANGE, VARIABLE, check_unopposed, join_link, uses_link
+from rn_link.environment import (
+    OTHERS,
+    RANGE,
+    VARIABLE,
+    check_unopposed,
+    fast_dds_profile,
+    join_link,
+    uses_link,
+)
 from rn_link.feature import LinkFeature
 from rn_link.keeper import RelayKeeper
 from rn_link.machine import link_folder
@@ -71,7 +79,10 @@ def test_without_a_link_nothing_changes(
 
 
 def test_every_process_of_a_machine_gets_the_profile(hub: Path) -> None:
-    """Also where the profile that the project ships is set already."""
+    """Also where the profile that the project ships is set already; that of an earlier version is
+    replaced.
+    """
+    (hub / "fastdds.xml").write_text("old")
     os.environ[VARIABLE] = str(files("roboneuron") / "data" / "fastdds.xml")
     program = "import os, rn_link.environment as e; e.join_link(); e.join_link(); "
     program += f"print([*map(os.environ.get, {[VARIABLE, RANGE]}), e.uses_link()])"
@@ -79,6 +90,7 @@ def test_every_process_of_a_machine_gets_the_profile(hub: Path) -> None:
         [sys.executable, "-c", program], capture_output=True, text=True, check=True
     ).stdout
     assert made.strip() == str([str(hub / "fastdds.xml"), "SYSTEM_DEFAULT", True])
+    assert (hub / "fastdds.xml").read_text() == fast_dds_profile()
 
 
 @pytest.mark.parametrize("name", [*OTHERS, VARIABLE, "RMW_IMPLEMENTATION"])
@@ -94,6 +106,17 @@ def test_what_contradicts_the_link_is_refused(
     ):
         with pytest.raises(ConfigurationError, match=f"{name} is 'mine'"):
             check()
+
+
+def test_a_profile_that_cannot_be_written_is_told(
+    hub: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    (hub / "fastdds.xml").mkdir()
+    join_link()
+    assert not uses_link()
+    assert "cannot be written" in caplog.text
+    with pytest.raises(ConfigurationError, match="cannot be written"):
+        LinkFeature(None).check(CONFIG)
 
 
 @pytest.mark.parametrize("damage", ["exposed", "no key", "no certificate"])

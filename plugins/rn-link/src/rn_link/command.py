@@ -157,7 +157,7 @@ def _remove(folder: Path, name: str | None) -> None:
 
     if name is None:
         remove_all(folder)
-        _say(f"Keys, certificates and profile of this machine are removed. {_FOLLOWS}")
+        _say(f"Keys and certificates of this machine are removed. {_FOLLOWS}")
     else:
         remove_peer(folder, name)
         _say(f"{name} is removed. {_FOLLOWS}")

@@ -14,7 +14,7 @@ from importlib.resources import files
 from pathlib import Path
 
 from rn_link.machine import DISCOVERY_PORT, LOOPBACK, PROFILE, RELAY, link_folder, read_machine
-from roboneuron import ConfigurationError
+from roboneuron import ConfigurationError, foreign
 
 log = logging.getLogger(__name__)
 VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
@@ -48,7 +48,7 @@ def join_link() -> None:
         machine = read_machine(folder)
         if machine is not None and machine.peers and os.environ.get(SWITCH) != "off":
             check_unopposed(os.environ, folder)
-            os.environ[VARIABLE] = str(folder / PROFILE)
+            os.environ[VARIABLE] = str(write_profile(folder))
             # LOCALHOST, the project's default, would replace the profile's peers; the profile
             # restricts ROS likewise
             os.environ[RANGE] = "SYSTEM_DEFAULT"
@@ -85,6 +85,21 @@ def check_unopposed(environment: Mapping[str, str], folder: Path) -> None:
         )
 
 
+def write_profile(folder: Path) -> Path:
+    """Return the link's profile, which replaces that of an earlier version.
+
+    Raises:
+        ConfigurationError: it cannot be written, or the shipped profile is of another form.
+    """
+    path, text = folder / PROFILE, fast_dds_profile()
+    try:
+        if not path.exists() or path.read_text(encoding="utf-8") != text:
+            foreign.write_private(path, text)
+    except OSError as error:
+        raise ConfigurationError(f"{path} cannot be written: {error}.") from error
+    return path
+
+
 def fast_dds_profile() -> str:
     """Return the shipped profile with UDP restricted to the loopback interface, and the relay as a
     peer.
@@ -92,11 +107,11 @@ def fast_dds_profile() -> str:
     Processes of one machine find each other by UDP on the loopback interface, as without a link.
 
     Raises:
-        LookupError: the shipped profile is of another form.
+        ConfigurationError: the shipped profile is of another form.
     """
     shipped = _SHIPPED.read_text(encoding="utf-8")
     if [shipped.count(place) for place in (_UDP, _BUILTIN)] != [1, 1]:
-        raise LookupError(f"{_SHIPPED} does not have {_UDP} and {_BUILTIN} once")
+        raise ConfigurationError(f"{_SHIPPED} does not have {_UDP} and {_BUILTIN} once.")
     size = min(_BUFFER_BYTES, int(_BUFFER_LIMIT.read_text(encoding="ascii")))
     udp = f"""{_UDP}
       <receiveBufferSize>{size}</receiveBufferSize>

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 
-from rn_link.environment import check_unopposed, uses_link
+from rn_link.environment import check_unopposed, uses_link, write_profile
 from rn_link.keeper import RelayKeeper
 from rn_link.machine import link_folder, read_machine
 from rn_link.tls import tls_context
@@ -29,6 +29,7 @@ class LinkFeature(Feature[None]):
         machine = read_machine(folder)
         if machine is not None and machine.peers:
             check_unopposed(os.environ, folder)
+            write_profile(folder)
             for name in machine.peers:
                 tls_context(machine, folder, name)
 

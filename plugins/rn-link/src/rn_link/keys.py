@@ -17,8 +17,7 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import NameOID
 
-from rn_link.environment import fast_dds_profile
-from rn_link.machine import FILE, IDENTITY, PROFILE, Machine, Peer, check_name, read_machine
+from rn_link.machine import FILE, IDENTITY, Machine, Peer, check_name, read_machine
 from roboneuron import ConfigurationError, foreign
 
 _SINCE = datetime(2000, 1, 1, tzinfo=UTC)
@@ -84,7 +83,6 @@ def make_machine(folder: Path, machine: Machine, identity: str) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     folder.chmod(0o700)
     foreign.write_private(folder / IDENTITY, identity)
-    foreign.write_private(folder / PROFILE, fast_dds_profile())
     # last the file that makes processes use the link
     _store(folder, machine)
 

@@ -140,13 +140,13 @@ class PairingHub:
         address = str(writer.get_extra_info("peername", ("?",))[0])
         try:
             async with asyncio.timeout(_ATTEMPT_S):
-                await _send(writer, share.hex().encode())
+                writer.write(share.hex().encode() + b"\n")
                 (sent,) = _open(cipher, await _receive(reader), "certificate")
                 own = own_certificate(self._folder)
                 add_peer(self._folder, self._name, Peer(address, to_certificate(sent)))
                 try:
                     names = {"hub": self._hub.name, "name": self._name}
-                    await _send(writer, _seal(cipher, **names, certificate=own))
+                    writer.write(_seal(cipher, **names, certificate=own))
                     writer.close()
                     await writer.wait_closed()
                 except (OSError, asyncio.CancelledError):
@@ -175,9 +175,9 @@ async def join(folder: Path, address: str, code: str, port: int = PAIRING_PORT) 
             reader, writer = await asyncio.open_connection(address, port, limit=_MOST_BYTES)
             with closing(writer):
                 exchange = SPAKE2_A(code.encode(), **_SIDES)
-                await _send(writer, exchange.start().hex().encode())
+                writer.write(exchange.start().hex().encode() + b"\n")
                 cipher = _agree(exchange, await _receive(reader))
-                await _send(writer, _seal(cipher, certificate=to_certificate(identity)))
+                writer.write(_seal(cipher, certificate=to_certificate(identity)))
                 sealed = await _receive(reader)
         hub, name, sent = _open(cipher, sealed, "hub", "name", "certificate")
         peers = {hub: Peer(address, to_certificate(sent))}
@@ -207,11 +207,6 @@ def _agree(exchange: SPAKE2_A | SPAKE2_B, share: bytes) -> Fernet:
     raise PairingError("the other side sent no valid share")
 
 
-async def _send(writer: asyncio.StreamWriter, line: bytes) -> None:
-    writer.write(line + b"\n")
-    await writer.drain()
-
-
 async def _receive(reader: asyncio.StreamReader) -> bytes:
     try:
         line = await reader.readline()
@@ -223,7 +218,7 @@ async def _receive(reader: asyncio.StreamReader) -> bytes:
 
 
 def _seal(cipher: Fernet, **fields: str) -> bytes:
-    return cipher.encrypt(json.dumps(fields).encode())
+    return cipher.encrypt(json.dumps(fields).encode()) + b"\n"
 
 
 def _open(cipher: Fernet, sealed: bytes, *names: str) -> list[str]:
