@@ -162,7 +162,7 @@ def drivers(monkeypatch):
 @pytest.mark.ros
 def test_topics_and_configured_cameras_are_listed(drivers, tmp_path, monkeypatch, capsys):
     registry = fake_registry(*roboneuron_perceptions())
-    monkeypatch.setattr(command, "discover", lambda disabled=(): registry)
+    monkeypatch.setattr(command, "discover", lambda disabled=(), robot=None: registry)
     monkeypatch.setattr(devices, "SYSTEM", tmp_path)
     options = 'topic = "/usb_cam/image_raw"\nstamp = "arrival"'
     config(tmp_path / "a.toml", "ros-camera", "front", options)

@@ -42,7 +42,7 @@ device = "HD Webcam C270"
 
 @pytest.fixture(autouse=True)
 def fakes(monkeypatch, tmp_path):
-    monkeypatch.setattr(command, "discover", lambda disabled=(): fake_registry())
+    monkeypatch.setattr(command, "discover", lambda disabled=(), robot=None: fake_registry())
     monkeypatch.chdir(tmp_path)
     Path("roboneuron.toml").write_text(CONFIG)
 

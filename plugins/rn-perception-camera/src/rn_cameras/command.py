@@ -172,7 +172,9 @@ def _list(arguments: Namespace) -> int:
     with joined() as link:
         found: list[listing.ListedCamera] = []
         for own in each:
-            found += listing.configured_cameras(own, discover(own.disabled_plugins), link, folder)
+            found += listing.configured_cameras(
+                own, discover(own.disabled_plugins, own.robot), link, folder
+            )
         found += listing.device_cameras(folder, each)
         found += listing.topic_cameras(link, folder)
     if arguments.json:
@@ -195,7 +197,7 @@ def _calibrate(arguments: Namespace, board: Board) -> int:
     path: Path = arguments.config or CONFIG
     text = writing.read(path)
     config = _of_robot(load_config(path), arguments.robot)
-    registry = discover(config.disabled_plugins)
+    registry = discover(config.disabled_plugins, config.robot)
     profile = load_profile(registry, config.robot.name)
     camera = profile.camera(arguments.name)
     if camera is None:
