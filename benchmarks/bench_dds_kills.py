@@ -150,7 +150,7 @@ def take_turn(name: str, results: Results, kills: int, rate_hz: float) -> None:
             out, _ = child.communicate(timeout=BEGIN_S + kills * TRIAL_S)
         except subprocess.TimeoutExpired:
             os.killpg(child.pid, signal.SIGKILL)
-            out, _ = child.communicate()
+            out, _ = child.communicate(timeout=10.0)
             hung = "the process of the server hung"
         lines = [line for line in out.splitlines() if line.startswith("{")]
         cell = Results(**json.loads(lines[-1])) if lines else Results()

@@ -42,19 +42,40 @@ class Hub:
         self.port = int(listener.getsockname()[1])
         self.admitted: Future[str] = Future()
         self.complaints: list[str] = []
+        self._thread: threading.Thread | None = None
 
     def serve(self, limit_s: float = 30.0) -> Hub:
         """Begin."""
         hub = PairingHub(self.folder, "gpu", CODE, self.complaints.append)
+        begun = threading.Event()
+
+        async def serve() -> str:
+            loop, task = asyncio.get_running_loop(), asyncio.current_task()
+            assert task is not None
+            self._cancel = lambda: loop.call_soon_threadsafe(task.cancel)
+            begun.set()
+            return await hub.serve(self.listener, limit_s)
 
         def run() -> None:
             try:
-                self.admitted.set_result(asyncio.run(hub.serve(self.listener, limit_s)))
+                self.admitted.set_result(asyncio.run(serve()))
             except (ConfigurationError, OSError) as error:
                 self.admitted.set_exception(error)
+            except asyncio.CancelledError:
+                self.admitted.cancel()
 
-        threading.Thread(target=run, daemon=True).start()
+        self._thread = threading.Thread(target=run, daemon=True)
+        self._thread.start()
+        assert begun.wait(10.0)
         return self
+
+    def close(self) -> None:
+        """End, with its thread."""
+        if self._thread is not None:
+            with suppress(RuntimeError):  # its loop has ended
+                self._cancel()
+            self._thread.join(10.0)
+            assert not self._thread.is_alive()
 
     def connect(self, content: bytes = b"") -> socket.socket:
         """A connection that has sent this."""
@@ -71,7 +92,9 @@ class Hub:
 def hub(tmp_path: Path) -> Iterator[Hub]:
     make_hub(tmp_path / "hub")
     with socket.create_server(("127.0.0.1", 0)) as listener:
-        yield Hub(tmp_path / "hub", listener)
+        made = Hub(tmp_path / "hub", listener)
+        yield made
+        made.close()
 
 
 @pytest.fixture
