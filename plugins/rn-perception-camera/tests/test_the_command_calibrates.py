@@ -84,7 +84,12 @@ def run(*words):
 
 
 @pytest.mark.parametrize(
-    ("setup", "camera"), [("eye-in-hand", "hand"), ("eye-to-hand", "front"), ("corners", "front")]
+    ("setup", "camera"),
+    [
+        ("eye-in-hand", "hand"),
+        pytest.param("eye-to-hand", "front", marks=pytest.mark.exhaustive),
+        pytest.param("corners", "front", marks=pytest.mark.exhaustive),
+    ],
 )
 def test_the_pose_that_other_modules_load_is_the_true_one(setup, camera, capsys):
     fill(setup)
