@@ -26,9 +26,14 @@ class Hand:
     """A robot module's report, and fingers that are measured one place after the other."""
 
     def __init__(
-        self, *measured_m: float, commanded: float | None = None, holding: str = ""
+        self,
+        *measured_m: float,
+        commanded: float | None = None,
+        holding: str = "",
+        stamps_ns: tuple[int, ...] = (0,),
     ) -> None:
         self.measured_m = list(measured_m)
+        self.stamps_ns = list(stamps_ns)
         metrics = {} if commanded is None else {"gripper_commanded": f"{commanded:g}"}
         report = Report(metrics=metrics, detail={"holding": holding} if holding else {})
         self.host: Any = SimpleNamespace(
@@ -40,7 +45,8 @@ class Hand:
         if not self.measured_m:
             return None
         position = self.measured_m.pop(0) if len(self.measured_m) > 1 else self.measured_m[0]
-        return JointSample(names=("finger",), position=np.array([position]))
+        stamp_ns = self.stamps_ns.pop(0) if len(self.stamps_ns) > 1 else self.stamps_ns[0]
+        return JointSample(names=("finger",), position=np.array([position]), stamp_ns=stamp_ns)
 
 
 def grip(hand: Hand, profile: RobotProfile = PROFILE, namespace: str = "arm") -> Grip:
@@ -106,6 +112,21 @@ def test_fingers_that_rest_wider_than_commanded_hold_something(
     hand: Hand, holds: bool | None
 ) -> None:
     assert grip(hand).holding() is holds
+
+
+@pytest.mark.parametrize(
+    ("measured_m", "holds"), [((0.02,), None), ((0.02,) * 10 + (0.0,), False)], ids=["only", "late"]
+)
+def test_one_measurement_that_is_read_again_shows_no_rest(
+    measured_m: tuple[float, ...], holds: bool | None
+) -> None:
+    hand = Hand(*measured_m, commanded=0.0, stamps_ns=(5_000_000_000,))
+    assert grip(hand).holding() is holds
+
+
+def test_rest_is_judged_by_the_times_of_measurements() -> None:
+    hand = Hand(0.02, commanded=0.0, stamps_ns=(5_000_000_000, 5_000_000_000, 5_060_000_000))
+    assert grip(hand).holding() is True
 
 
 def test_lost_is_what_was_held_before_and_nobody_let_go() -> None:

@@ -21,7 +21,7 @@ _BLOCKED = 0.03
 """Fraction of the travel: fingers at rest this much wider than commanded are blocked by an
 object.
 """
-_STILL, _STILL_S = 0.005, 0.06
+_STILL, _STILL_NS = 0.005, 60_000_000
 """Fingers that move by less than this fraction of their travel in this time are at rest."""
 _SETTLE_S = 1.0
 _POLL_S = 0.02
@@ -85,14 +85,20 @@ class Grip:
 
     def measured(self) -> float:
         """The measured opening. Raises NotReadyError."""
+        return self._measure()[0]
+
+    def _measure(self) -> tuple[float, int]:
+        """The opening, and the time of its measurement [ns]: now for joints without a stamp. Raises
+        NotReadyError.
+        """
         gripper = self.profile
         joints = self._gate.joints(self._exposed, _MEASURED_S)
         opening = None if gripper is None else gripper.opening_in(joints)
-        if opening is None:
+        if joints is None or opening is None:
             raise NotReadyError(
                 "The gripper was not measured.", hint="Is the robot running? See get_status."
             )
-        return opening
+        return opening, joints.stamp_ns or time.monotonic_ns()
 
     def holding(self) -> bool | None:
         """True if the hand holds an object; None if unknown.
@@ -113,18 +119,22 @@ class Grip:
             return None
 
     def _is_blocked(self, commanded: float) -> bool | None:
-        """True if the fingers rest wider than commanded; None if they do not come to rest."""
-        began_s = since_s = time.monotonic()
-        rested = self.measured()
+        """True if the fingers rest wider than commanded; None if they do not come to rest.
+
+        Rest is judged by the times of measurements, because a busy robot may send none for longer
+        than `_STILL_NS` while its fingers move.
+        """
+        began_s = time.monotonic()
+        rested, since_ns = self._measure()
         while True:
-            now_s, opening = time.monotonic(), self.measured()
+            opening, at_ns = self._measure()
             if not is_blocked(opening, commanded):
                 return False
             if abs(opening - rested) > _STILL:
-                rested, since_s = opening, now_s
-            if now_s - since_s >= _STILL_S:
+                rested, since_ns = opening, at_ns
+            if at_ns - since_ns >= _STILL_NS:
                 return True
-            if now_s - began_s > _SETTLE_S:
+            if time.monotonic() - began_s > _SETTLE_S:
                 return None
             time.sleep(_POLL_S)
 
