@@ -98,7 +98,7 @@ class Grip:
             raise NotReadyError(
                 "The gripper was not measured.", hint="Is the robot running? See get_status."
             )
-        return opening, joints.stamp_ns or time.monotonic_ns()
+        return opening, joints.stamp_ns or round(time.monotonic() * 1e9)
 
     def holding(self) -> bool | None:
         """True if the hand holds an object; None if unknown.
