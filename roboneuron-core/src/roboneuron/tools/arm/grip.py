@@ -12,6 +12,7 @@ from roboneuron.modules.report import Report
 from roboneuron.server.host import Host
 from roboneuron.server.motion_gate import ExposedEndpoint, MotionGate
 from roboneuron.tools.arm.grip_reports import commanded_opening
+from roboneuron.tools.arm.joint_rest import measured_ns
 
 __all__ = ["check_gripper"]
 """Names that other distributions may use."""
@@ -88,9 +89,7 @@ class Grip:
         return self._measure()[0]
 
     def _measure(self) -> tuple[float, int]:
-        """The opening, and the time of its measurement [ns]: now for joints without a stamp. Raises
-        NotReadyError.
-        """
+        """The opening, and the time of its measurement [ns]. Raises NotReadyError."""
         gripper = self.profile
         joints = self._gate.joints(self._exposed, _MEASURED_S)
         opening = None if gripper is None else gripper.opening_in(joints)
@@ -98,7 +97,7 @@ class Grip:
             raise NotReadyError(
                 "The gripper was not measured.", hint="Is the robot running? See get_status."
             )
-        return opening, joints.stamp_ns or round(time.monotonic() * 1e9)
+        return opening, measured_ns(joints, time.monotonic())
 
     def holding(self) -> bool | None:
         """True if the hand holds an object; None if unknown.
@@ -119,11 +118,7 @@ class Grip:
             return None
 
     def _is_blocked(self, commanded: float) -> bool | None:
-        """True if the fingers rest wider than commanded; None if they do not come to rest.
-
-        Rest is judged by the times of measurements, because a busy robot may send none for longer
-        than `_STILL_NS` while its fingers move.
-        """
+        """True if the fingers rest wider than commanded; None if they do not come to rest."""
         began_s = time.monotonic()
         rested, since_ns = self._measure()
         while True:

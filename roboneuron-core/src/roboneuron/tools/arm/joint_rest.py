@@ -7,8 +7,21 @@ from collections.abc import Iterable
 from roboneuron.contract import JointKinds, JointSample
 from roboneuron.errors import NotReadyError
 
-_REST, _REST_S = 5e-4, 0.1
+_REST, _REST_NS = 5e-4, 100_000_000
 """A joint that moves by less than this [rad or m] in this time is at rest."""
+
+
+def measured_ns(joints: JointSample, now_s: float) -> int:
+    """Time of a measurement [ns]: now for one without a stamp.
+
+    Rest is judged by these times and not by those of reading, because a busy robot may send nothing
+    for a while although it moves.
+
+    Args:
+        joints: the measurement.
+        now_s: monotonic time.
+    """
+    return joints.stamp_ns or round(now_s * 1e9)
 
 
 def position_of(joints: JointSample, name: str) -> float:
@@ -26,17 +39,20 @@ class JointRest:
         """`names` are of the joints, `kinds` those of the robot."""
         self._names = tuple(names)
         self._kinds = kinds
-        self._since_s: float | None = None
+        self._since_ns: int | None = None
         self._there: list[float] = []
 
     def note(self, joints: JointSample, now_s: float) -> bool:
-        """Add a measurement; return True if no joint has moved for a tenth of a second."""
+        """Add a measurement, also one that was added before; return True if no joint has moved for
+        a tenth of a second between the times of measurements.
+        """
+        at_ns = measured_ns(joints, now_s)
         here = [position_of(joints, name) for name in self._names]
         has_moved = (
             not self._there
             or max(map(abs, map(self._kinds.difference, self._names, self._there, here))) > _REST
         )
-        if self._since_s is None or has_moved:
-            self._since_s, self._there = now_s, here
+        if self._since_ns is None or has_moved:
+            self._since_ns, self._there = at_ns, here
             return False
-        return now_s - self._since_s >= _REST_S
+        return at_ns - self._since_ns >= _REST_NS
