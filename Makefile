@@ -133,6 +133,7 @@ format: $(VENV)/.develop ## put the code into shape
 docs: $(VENV)/.docs ## build the documentation site into out/site; every link and anchor is checked
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
 	$(BIN)/python tools/check_site.py out/site
+	@echo 'To read it, open this in a browser: file://$(CURDIR)/out/site/index.html'
 
 clean: ## remove the virtual environment and everything the demo wrote
 	rm -rf $(VENV) out
