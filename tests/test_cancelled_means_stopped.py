@@ -38,7 +38,7 @@ from roboneuron.ros.environment import prepare_environment
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(150)]
 NEWEST = "2026-07-28"
 REST_S = 2.0
-"""Bound for a busy machine; docs/benchmarks-server.md has the time itself, milliseconds."""
+"""Bound for a busy machine; benchmarks/results.toml has the time itself, milliseconds."""
 BASE = """
 [robot]
 name = "diffdrive"

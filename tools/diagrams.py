@@ -4,7 +4,7 @@ module.
     python tools/diagrams.py           write them
     python tools/diagrams.py --check   exit status 1 unless the committed files are current
 
-Numbers of plots come from the tables of docs/benchmarks.md. Each panel has its own background, so
+Numbers of plots come from benchmarks/results.toml. Each panel has its own background, so
 that it is readable on light and dark pages. tools/process_figure.py draws processes.svg.
 """
 

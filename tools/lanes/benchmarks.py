@@ -1,4 +1,4 @@
-"""Benchmarks; their numbers are in docs/benchmarks.md."""
+"""Benchmarks; their numbers are in benchmarks/results.toml."""
 
 from __future__ import annotations
 
