@@ -1,6 +1,9 @@
 """Benchmark: pick, place and push of an agent in served cells, judged by the simulator's truth.
 
-python benchmarks/bench_handling.py --scenes 10 --engine pybullet
+    python benchmarks/bench_handling.py --scenes 200 --engine pybullet --stepped --ledger FILE
+
+A ledger gets one line for each scene; scenes that it has are not played again. With --stepped,
+time passes only while commands are carried out, so that a busy machine changes no motion.
 """
 
 from __future__ import annotations
@@ -11,13 +14,14 @@ import os
 import tempfile
 import time
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import anyio
 import numpy as np
 
+from rn_eval.statistics import proportion
 from rn_robot_fr3.scene import random_cubes
 from rn_simulation.cubes import RGBA_BY_COLOUR
 from rn_simulation.engine import ENGINES
@@ -28,21 +32,27 @@ from roboneuron import ConfigurationError
 CONFIG = """
 [robot]
 name = "fr3"
-[perception]
+{robot}[perception]
 source = "fr3-sim-camera"
 [control]
 controller = "urdf"
-[plugins.fr3-sim-camera]
+{control}[plugins.fr3-sim-camera]
 width = 640
 height = 480
 [plugins.fr3]
 engine = "{engine}"
 seed = {seed}
 colours = {colours}
-[supervisor]
+{driver}[supervisor]
 start_timeout_s = 180.0
 state_directory = "{state}"
 """
+STEPPED = {
+    "robot": "command_timeout_s = 90.0\nserver_timeout_s = 30.0\n",
+    "control": "action_timeout_s = 60.0\nstate_timeout_s = 30.0\nserver_timeout_s = 30.0\n",
+    "driver": "stepped = true\n",
+}
+"""The simulation waits for late commands, so waiting for them must not end a motion."""
 LIFTED_M, NEIGHBOUR_M = 0.05, 0.003
 ON_M, PLACED_M = 0.015, 0.02
 """Largest errors of a success: of a stacked cube's middle, and of one on the table."""
@@ -62,16 +72,25 @@ class Tally:
     took_s: list[float] = field(default_factory=list)
     neighbours: int = 0
     untold: int = 0
-    refused: Counter[str] = field(default_factory=Counter)
+    refused: list[str] = field(default_factory=list)
     failed: list[str] = field(default_factory=list)
+
+    def __iadd__(self, other: Tally) -> Self:
+        """Add the results of another scene."""
+        for part in fields(self):
+            total = getattr(self, part.name) + getattr(other, part.name)
+            setattr(self, part.name, total)
+        return self
 
     def row(self) -> dict[str, Any]:
         """The figures."""
         errors = np.array(self.errors_m or [np.nan]) * 1e3
+        share = proportion(self.done, self.calls)
         return {
             "calls": self.calls,
             "done": self.done,
-            "refused": dict(self.refused),
+            "share_95": [round(share.low, 3), round(share.high, 3)],
+            "refused": dict(Counter(self.refused)),
             "failed": self.failed,
             "error_median_mm": round(float(np.median(errors)), 1),
             "error_95_mm": round(float(np.percentile(errors, 95)), 1),
@@ -129,7 +148,7 @@ class Judge:
             if moved or np.linalg.norm(after[colour] - before[colour]) > NEIGHBOUR_M:
                 tally.failed.append(f"{arguments}: {text[:160]}")
             else:
-                tally.refused[text[:120]] += 1
+                tally.refused.append(text[:120])
             return None
         tally.took_s.append(time.monotonic() - began_s)
         return answer, after
@@ -226,44 +245,67 @@ def free_place(truth: Truth, colour: str, random: np.random.Generator) -> np.nda
 
 
 def main() -> None:
-    """Run and print one line for each kind of call."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    """Play the scenes that the ledger lacks, and print one line for each kind of call."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--scenes", type=int, default=10)
     parser.add_argument("--first", type=int, default=0, help="first seed")
     parser.add_argument("--engine", default="pybullet", choices=ENGINES)
-    parser.add_argument("--json", type=Path)
+    parser.add_argument("--stepped", action="store_true", help="time waits for commands")
+    parser.add_argument("--ledger", type=Path, help="JSON lines; default: none is kept")
     arguments = parser.parse_args()
-    tallies: dict[str, Tally] = {}
+    ledger: Path | None = arguments.ledger
+    mode = {"engine": arguments.engine, "stepped": arguments.stepped}
+    rows: dict[int, dict[str, Any]] = {}
+    if ledger is not None and ledger.exists():
+        read = [json.loads(line) for line in ledger.read_text().splitlines()]
+        rows = {row["seed"]: row for row in read if row.items() >= mode.items()}
     seeds = range(arguments.first, arguments.first + arguments.scenes)
-    played = 0
     try:
         for seed in seeds:
-            played += scene(seed, arguments.engine, tallies)
+            if seed in rows:
+                continue
+            tallies = scene(seed, arguments.engine, arguments.stepped)
+            kinds = {kind: asdict(tally) for kind, tally in tallies.items()}
+            rows[seed] = {"seed": seed, **mode, "kinds": kinds}
             print(f"scene {seed}:", json.dumps({k: [t.calls, t.done] for k, t in tallies.items()}))
+            if ledger is not None:
+                with ledger.open("a") as file:
+                    file.write(json.dumps(rows[seed]) + "\n")
     except KeyboardInterrupt:
         print("ended early; so far:")
-    rows = {name: tally.row() for name, tally in tallies.items()}
-    print(f"{played} scenes, {arguments.engine}")
-    for name, row in rows.items():
-        print(name, json.dumps(row), flush=True)
-    if arguments.json:
-        arguments.json.write_text(json.dumps(rows, indent=1))
+    totals: dict[str, Tally] = {}
+    played = [rows[seed]["kinds"] for seed in seeds if rows.get(seed, {}).get("kinds")]
+    for kinds in played:
+        for kind, parts in kinds.items():
+            totals.setdefault(kind, Tally())
+            totals[kind] += Tally(**parts)
+    print(f"{len(played)} scenes, {arguments.engine}")
+    for kind, tally in totals.items():
+        print(kind, json.dumps(tally.row()), flush=True)
 
 
-def scene(seed: int, engine: str, tallies: dict[str, Tally]) -> bool:
-    """Serve and play one scene; False if these cubes do not fit on the table."""
+def scene(seed: int, engine: str, stepped: bool) -> dict[str, Tally]:
+    """Serve and play one scene; nothing if these cubes do not fit on the table."""
     random = np.random.default_rng([seed, 50])
     colours = random.permutation(sorted(RGBA_BY_COLOUR))[: random.integers(3, 6)].tolist()
     try:
         cubes = random_cubes(seed, colours)
     except ConfigurationError:
-        return False
+        return {}
+    tallies: dict[str, Tally] = {}
+    waits = STEPPED if stepped else dict.fromkeys(STEPPED, "")
     edges = {cube.name: cube.edge_m for cube in cubes}
     with tempfile.TemporaryDirectory() as folder:
         config = Path(folder) / "roboneuron.toml"
         config.write_text(
             CONFIG.format(
-                engine=engine, seed=seed, colours=json.dumps(colours), state=f"{folder}/state"
+                engine=engine,
+                seed=seed,
+                colours=json.dumps(colours),
+                state=f"{folder}/state",
+                **waits,
             )
         )
         environment = {
@@ -280,7 +322,7 @@ def scene(seed: int, engine: str, tallies: dict[str, Tally]) -> bool:
                     await play(agent, Judge(agent, tallies), edges, random)
 
         anyio.run(scenario)
-    return True
+    return tallies
 
 
 if __name__ == "__main__":
