@@ -70,3 +70,17 @@ def test_an_unknown_kind_is_refused(site):
 def test_get_without_any_plugin_says_so(site):
     with pytest.raises(ConfigurationError, match="No robot plugin is ready"):
         site.discover().get(RobotSpec, "fr3")
+
+
+def test_options_under_the_name_of_a_driver_are_told_where_they_belong(site):
+    site.install(
+        "rn-arm",
+        """
+@hookimpl
+def roboneuron_robots():
+    return [RobotSpec(name="arm", summary="Arm.", target="m:profile", robot_kind="arm",
+                      drivers=(DriverSpec(name="bus", summary="Bus.", target="m:Bus"),))]
+""",
+    )
+    with pytest.raises(ConfigurationError, match=r"\[plugins\.arm\]"):
+        site.discover().check_name("[plugins.bus]", "bus")

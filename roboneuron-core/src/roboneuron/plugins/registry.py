@@ -131,6 +131,16 @@ class Registry:
             raise ConfigurationError(
                 f"{place}: {name!r} is called {now!r} now.", hint=_NEW_NAME.format(now=now)
             )
+        robots = [
+            f"[plugins.{offer.spec.name}]"
+            for offer in self.all_offers
+            if isinstance(offer.spec, RobotSpec) and name in {d.name for d in offer.spec.drivers}
+        ]
+        if robots:
+            raise ConfigurationError(
+                f"{place}: {name!r} is a driver; its options belong to its robot: "
+                f"{', '.join(sorted(robots))}."
+            )
         meant = nearest(name, {*installed, *known})
         if meant or not self.not_loaded():  # otherwise one that did not load may have that name
             listed = ", ".join(sorted(installed)) or "none"
