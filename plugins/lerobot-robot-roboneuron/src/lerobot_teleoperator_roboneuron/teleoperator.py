@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import ssl  # noqa: F401  before rclpy: both bring a libcrypto
 import time
 from typing import Any
@@ -11,15 +10,15 @@ from lerobot.teleoperators import Teleoperator
 from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
 
 from lerobot_teleoperator_roboneuron.config_roboneuron_teleop import RoboNeuronTeleopConfig
-from lerobot_teleoperator_roboneuron.leaders import Leader, PageLeader, TopicLeader
+from lerobot_teleoperator_roboneuron.leaders import TopicLeader
 from rn_robot_lerobot.units import motors_of
-from roboneuron import ConfigurationError, InvalidInputError, NotReadyError, RobotProfile
+from roboneuron import InvalidInputError, NotReadyError, RobotProfile
 from roboneuron.command import discover
 from roboneuron.feature import load_profile
 
 
 class RoboNeuronTeleop(Teleoperator):
-    """Follows a leader: the joint states of a topic, or a page of the live view."""
+    """Follows the joint states of a leader: an arm, a program or another robot."""
 
     config_class = RoboNeuronTeleopConfig
     name = "roboneuron"
@@ -28,14 +27,13 @@ class RoboNeuronTeleop(Teleoperator):
         """Read the robot's profile.
 
         Raises:
-            ConfigurationError: no installed plugin provides the robot; the view's address is
-                invalid, or its token is not in the environment.
+            ConfigurationError: no installed plugin provides the robot.
         """
         super().__init__(config)
         self.config = config
         profile: RobotProfile = load_profile(discover(), config.robot)
         self._motors = motors_of(profile, use_degrees=config.use_degrees)
-        self._leader = _leader(config)
+        self._leader = TopicLeader(config.topic)
         self._is_connected = False
 
     @property
@@ -50,7 +48,7 @@ class RoboNeuronTeleop(Teleoperator):
 
     @property
     def is_connected(self) -> bool:
-        """True while the leader is subscribed or polled."""
+        """True while the leader is subscribed to."""
         return self._is_connected
 
     @property
@@ -86,7 +84,7 @@ class RoboNeuronTeleop(Teleoperator):
         if age_s > self.config.timeout_s:
             raise NotReadyError(
                 f"The leader {self._leader.name} has been silent for {age_s:.2g} s.",
-                hint=led.silence,
+                hint="Does it publish joint states there, in the same ROS domain?",
             )
         return self._motors.values(led.positions)
 
@@ -102,16 +100,3 @@ class RoboNeuronTeleop(Teleoperator):
     def _check_connected(self) -> None:
         if not self._is_connected:
             raise DeviceNotConnectedError(f"{self} is not connected.")
-
-
-def _leader(config: RoboNeuronTeleopConfig) -> Leader:
-    """The configured leader. Raises ConfigurationError if the view's token is missing or its
-    address is invalid.
-    """
-    if not config.view:
-        return TopicLeader(config.topic)
-    token = os.environ.get(config.token_variable, "") if config.token_variable else ""
-    if config.token_variable and not token:
-        raise ConfigurationError(f"The environment has no {config.token_variable}.")
-    namespace = config.namespace or config.robot.replace("-", "_")
-    return PageLeader(config.view, namespace, token)

@@ -4,7 +4,7 @@
 - `diagnostics`: health of modules, alarms, active limits, the list of events.
 - `visualization`: 3-D scene, plots, and tables as HTML.
 - `page`: one browser page, put together from these parts; the emergency stop and the strip below.
-- `teleoperation`: a person leads the arm: sliders, sticks, keys, gamepads.
+- `teleoperation`: a person leads the arm: sticks, keys, gamepads.
 - `recordings`: playback of a recorded run.
 - `tasks`: past tasks, their pictures and success rates.
 - `web`: HTTP, access, and the server of all pages.

@@ -49,7 +49,6 @@ def test_a_stop_is_served_while_requests_of_pages_hold_every_shared_thread() -> 
         lambda: {"": source},
         lambda request, address: address,
         lambda request: "",
-        lambda robot: None,
         OpenPages(),
     )
     connection: Any = SimpleNamespace(remote_address=("127.0.0.1", 1))

@@ -18,8 +18,6 @@ from rn_view.sources.measured_topics import MeasuredTopics
 from rn_view.sources.operator_calls import Operator
 from rn_view.sources.source import PageState, Source
 from rn_view.teleoperation.sample_socket import LeadSockets, PageTeleoperator
-from rn_view.teleoperation.slider_goal import SliderGoal
-from rn_view.teleoperation.slider_panel import SliderPanel
 from rn_view.teleoperation.stick_panel import FULL_SHARE, key_html
 from rn_view.visualization import markup
 from rn_view.visualization.plots import History, Plots
@@ -55,7 +53,6 @@ class Page:
         operators: Mapping[str, Operator],
         admit: Callable[[str], Holder | None],
         on_choice: Callable[[Page], object],
-        on_lead: Callable[[Page, SliderGoal, object], object],
         lead_sockets: LeadSockets,
         open_pages: OpenPages,
     ) -> None:
@@ -65,7 +62,6 @@ class Page:
         operators: call tools for the buttons, by robot name; a robot without one has no buttons.
         admit: returns the holder of a token; None for an unknown token.
         on_choice: called when another robot is chosen.
-        on_lead: called when this page starts to lead, with the goal and the object that leads.
         lead_sockets: registry of the pages that may lead by hand.
             open_pages: registry of the open pages, for their requests.
         """
@@ -77,7 +73,7 @@ class Page:
         self._operators = operators
         self._operator = operators.get(next(iter(sources)))
         self._admit = admit
-        self._on_lead, self._lead_sockets, self._open_pages = on_lead, lead_sockets, open_pages
+        self._lead_sockets, self._open_pages = lead_sockets, open_pages
         self._lock = threading.Lock()
         self._content: _Content | None = None
         self._tries = _TRIES
@@ -137,8 +133,6 @@ class Page:
         self,
         profile: RobotProfile,
         history: History,
-        lead: SliderGoal,
-        measured: Callable[[], MeasuredTopics | None],
         state: Callable[[], PageState],
     ) -> None:
         """Build the rest of the page for its holder."""
@@ -156,21 +150,9 @@ class Page:
             else self._call
         )
 
-        def add_lead() -> SliderPanel | None:
-            if buttons is None or not lead.bounds:
-                return None
-            return SliderPanel(
-                self.client.gui,
-                profile,
-                lead,
-                measured,
-                lambda who: self._on_lead(self, lead, who),
-                lambda title, text: self.tell(title, text, is_bad=True),
-            )
-
         with self._lock:
             self._content = _Content(
-                self.client, self._source, profile, history, buttons, add_lead, self.width_px
+                self.client, self._source, profile, history, buttons, self.width_px
             )
         if buttons is not None:
             self._let_lead(profile)
@@ -229,9 +211,6 @@ class Page:
     def leave(self) -> None:
         """Called when the client has disconnected."""
         self._is_gone = True
-        with self._lock:
-            if self._content is not None:
-                self._content.end_lead()
         self._leave_robot()
 
     def _let_lead(self, profile: RobotProfile) -> None:
@@ -294,7 +273,6 @@ class _Content:
         profile: RobotProfile,
         history: History,
         call: Callable[[str, dict[str, object]], None] | None,
-        add_lead: Callable[[], SliderPanel | None],
         width_px: int,
     ) -> None:
         gui = client.gui
@@ -309,7 +287,6 @@ class _Content:
         self._instruction = gui.add_html("")
         buttons = () if call is None else (self._add_buttons(call),)
         self._modules = gui.add_html("")
-        self._lead = add_lead()
         is_narrow = _PHONE_PX < width_px < _WIDE_PX
         tabs = gui.add_tab_group() if is_narrow else gui.add_panel()
         folder = gui.add_folder("What happened")
@@ -343,16 +320,10 @@ class _Content:
         self.scene = PageScene(client, profile, source.config(), is_phone=width_px <= _PHONE_PX)
         self._count = -1
 
-    def end_lead(self) -> None:
-        if self._lead is not None:
-            self._lead.end()
-
     def remove(self) -> None:
         """Remove everything from the page. Only for one of several robots, never for a
         recording.
         """
-        if self._lead is not None:
-            self._lead.remove()
         for part in self._parts:
             part.remove()
         self._client.scene.reset()
@@ -360,8 +331,6 @@ class _Content:
     def update_state(self, snapshot: PageState, measured: MeasuredTopics) -> None:
         if self._player is not None:
             self._player.update(snapshot)
-        if self._lead is not None:
-            self._lead.update()
         self._instruction.content = markup.instruction_text(snapshot)
         self._modules.content = markup.modules_table(snapshot.modules)
         place = limit_place(snapshot.limits, snapshot.limit, self._profile.arm_joints, ())

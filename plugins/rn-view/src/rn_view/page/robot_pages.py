@@ -16,7 +16,6 @@ from rn_view.diagnostics.module_health import SteadyHealth
 from rn_view.page.client_page import Page
 from rn_view.sources.measured_topics import MeasuredTopics
 from rn_view.sources.source import PageState, Source
-from rn_view.teleoperation.slider_goal import SliderGoal
 from rn_view.visualization.plots import History
 from roboneuron import RoboNeuronError, RobotProfile
 from roboneuron.feature import Periodic
@@ -52,7 +51,6 @@ class RobotPages:
         self._lock = threading.RLock()
         self._pages: list[Page] = []
         self._profile: RobotProfile | None = None
-        self._lead: SliderGoal | None = None
         self._place: tuple[str, str] = ("", "")
         self._history = History()
         self._steady, self._limits = SteadyHealth(), ActiveLimits()
@@ -94,14 +92,7 @@ class RobotPages:
                 if self.measured is None:
                     self._start_looking()
                 assert self._profile is not None
-                assert self._lead is not None
-                page.show(
-                    self._profile,
-                    self._history,
-                    self._lead,
-                    lambda: self.measured,
-                    lambda: self.state,
-                )
+                page.show(self._profile, self._history, lambda: self.state)
                 self._shown = {}  # a new page gets the present images at once
         except RoboNeuronError as error:
             log.error("The view cannot show the robot: %s", error)
@@ -115,14 +106,8 @@ class RobotPages:
             if not any(other.is_admitted for other in self._pages):
                 self._stop_looking()
 
-    def goal(self) -> dict[str, float] | None:
-        """Present goal by joint [rad or m] of the page that leads; None if none does."""
-        lead, measured = self._lead, self.measured
-        return None if lead is None or measured is None else lead.goal(measured.joints)
-
     def _start_looking(self) -> None:
         self._profile = self.source.profile()
-        self._lead = SliderGoal(self._profile)
         config = self.source.config()
         self._place = (config.robot.name, config.namespace)
         measured = MeasuredTopics(self.source, self._profile)
@@ -137,7 +122,6 @@ class RobotPages:
 
     def _stop_looking(self) -> None:
         self._looks.clear()
-        self._lead = None
         measured, self.measured = self.measured, None
         if measured is not None:
             measured.close()

@@ -1,1 +1,1 @@
-"""Teleoperation from the page: sliders with a goal for followers; sticks, keys and gamepads."""
+"""Teleoperation from the page: sticks, keys and gamepads."""

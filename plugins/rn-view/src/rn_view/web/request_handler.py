@@ -1,5 +1,5 @@
-"""HTTP requests that the view answers itself: the page, the emergency stop and its state, the goal
-of the sliders. It also checks the access of every connection.
+"""HTTP requests that the view answers itself: the page, the emergency stop and its state. It also
+checks the access of every connection.
 """
 
 from __future__ import annotations
@@ -26,7 +26,6 @@ from rn_view.page import stop_bar
 from rn_view.page.status_strip import with_status_strip
 from rn_view.sources.source import Source
 from rn_view.teleoperation.sample_socket import LeadSockets
-from rn_view.teleoperation.slider_goal import LEAD_PATH
 from rn_view.teleoperation.stick_panel import with_stick_panel
 from rn_view.web import page_requests
 from rn_view.web.access import ViewAccess
@@ -58,7 +57,6 @@ class RequestHandler:
         sources: returns the present sources by robot name.
         who: returns the name of the sender of a request, for the audit.
         visited: called when the page is requested; returns its cookie.
-        goal: returns the goal of the sliders of the robot of that name; None if no page leads.
         pages: answers requests of open pages.
     """
 
@@ -68,14 +66,12 @@ class RequestHandler:
         sources: Callable[[], Mapping[str, Source]],
         who: Callable[[Request, str], str],
         visited: Callable[[Request], str],
-        goal: Callable[[str], dict[str, float] | None],
         pages: OpenPages,
     ) -> None:
         self._admission = admission
         self._sources = sources
         self._who = who
         self._visited = visited
-        self._goal = goal
         self._open_pages = pages
         self._base = stop_bar.base_page()
         # of its own: the requests of pages may fill the one that they share
@@ -104,8 +100,6 @@ class RequestHandler:
         if asked.path.startswith(page_requests.PATH):
             status, body, kind = await self._open_pages.answer(request.path, request.headers)
             return _answer(status, body, {"Content-Type": kind, "Cache-Control": "no-store"})
-        if asked.path == LEAD_PATH:
-            return self._lead(request, parse_qs(asked.query).get("robot", [""])[0])
         if asked.path == stop_bar.STOP_PATH:
             return await self._stop(
                 connection, request, parse_qs(asked.query).get("robot", [""])[0]
@@ -137,25 +131,6 @@ class RequestHandler:
         if "gzip" in request.headers.get("Accept-Encoding", ""):
             return _answer(HTTPStatus.OK, packed, {**headers, "Content-Encoding": "gzip"})
         return _answer(HTTPStatus.OK, plain, headers)
-
-    def _lead(self, request: Request, robot: str) -> Response:
-        tokens = self._admission.tokens
-        scheme, _, token = request.headers.get("Authorization", "").partition(" ")
-        if tokens and (scheme.lower() != "bearer" or tokens.find(token.strip()) is None):
-            text = "A token is required; send one of [[http.tokens]] as a bearer token"
-            return _json(HTTPStatus.UNAUTHORIZED, {"text": text})
-        namespaces = {
-            name: source.config().namespace.strip("/") for name, source in self._robots().items()
-        }
-        found = [name for name, own in namespaces.items() if robot in (name, own)]
-        if not found:
-            have = ", ".join(namespaces.values()) or "none"
-            text = f"There is no robot {robot[:80]!r}; this view shows {have}"
-            return _json(HTTPStatus.NOT_FOUND, {"text": text})
-        goal = self._goal(found[0])
-        if goal is None:
-            return _json(HTTPStatus.CONFLICT, {"text": "No page leads this robot"})
-        return _json(HTTPStatus.OK, {"positions": goal})
 
     async def _stop(self, connection: ServerConnection, request: Request, robot: str) -> Response:
         if request.headers.get(stop_bar.HEADER) != stop_bar.HEADER_VALUE:

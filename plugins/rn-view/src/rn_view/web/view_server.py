@@ -8,11 +8,9 @@ import io
 import logging
 import threading
 from collections.abc import Mapping
-from concurrent.futures import Future
 from typing import Any
 
 import viser
-from websockets.exceptions import ConnectionClosed
 
 from rn_standard.http.addresses import bind
 from rn_standard.http.listener import BoundedListener, other_bounds
@@ -25,7 +23,6 @@ from rn_view.sources.measured_topics import MeasuredTopics
 from rn_view.sources.operator_calls import Operator
 from rn_view.sources.source import Source
 from rn_view.teleoperation.sample_socket import LeadSockets
-from rn_view.teleoperation.slider_goal import RENEWED_S, SliderGoal
 from rn_view.web.access import ViewAccess
 from rn_view.web.page_requests import OpenPages
 from rn_view.web.request_handler import RequestHandler, served_by
@@ -38,8 +35,6 @@ _SILENT_S = 60.0
 """Time limit for a new websocket to say where its camera is, and so to become a page. A browser
 takes 1 to 5 s, on a busy machine many times as long.
 """
-_PROVED_S = 0.2
-"""Interval of the pings to a page that leads."""
 _MOST_SILENT, _MOST_WAITING = 32, 32
 """Maximum number of websockets that are not pages yet, and of pages that show only the stop. Beyond
 it the oldest is disconnected.
@@ -87,7 +82,6 @@ class ViewServer:
             for name, one in self._sources.items()
         }
         self._shown: dict[Page, str] = {}
-        self._proofs: set[Future[None]] = set()
         self._lead_sockets, self._open_pages = LeadSockets(), OpenPages()
 
     @property
@@ -117,7 +111,6 @@ class ViewServer:
             lambda: self._sources,
             self._visitors.who,
             self._visitors.cookie,
-            self._goal,
             self._open_pages,
         )
         bound = bind("view", self._options.host, self._options.port, self._admission.tokens)
@@ -154,8 +147,6 @@ class ViewServer:
         """Stop serving and close all pages; idempotent."""
         for pages in self._robot_pages.values():
             pages.close()
-        for proof in tuple(self._proofs):
-            proof.cancel()
         server, self._server = self._server, None
         if server is not None:
             with contextlib.redirect_stdout(io.StringIO()):
@@ -213,7 +204,6 @@ class ViewServer:
             self._operators,
             self._admission.tokens.find,
             self._choose,
-            self._on_lead,
             self._lead_sockets,
             self._open_pages,
         )
@@ -263,31 +253,6 @@ class ViewServer:
                 page.say_full(self._options.max_viewers)
                 return
             self._robot_pages[robot].admit(page)
-
-    def _goal(self, robot: str) -> dict[str, float] | None:
-        with self._lock:
-            pages = self._robot_pages.get(robot)
-        return None if pages is None else pages.goal()
-
-    def _on_lead(self, page: Page, lead: SliderGoal, who: object) -> None:
-        """Let a page lead for as long as its browser answers."""
-        server = self._server
-        loop = None if server is None else server._websock_server._background_event_loop
-        if loop is not None:
-            proof = self._prove(page.client.client_id, lead, who)
-            running = asyncio.run_coroutine_threadsafe(proof, loop)
-            self._proofs.add(running)
-            running.add_done_callback(self._proofs.discard)
-
-    async def _prove(self, number: int, lead: SliderGoal, who: object) -> None:
-        assert self._server is not None
-        live = self._server._websock_server._live_connections
-        with contextlib.suppress(ConnectionClosed, TimeoutError):
-            while number in live and lead.renew(who):
-                answered = await live[number].ping()
-                await asyncio.wait_for(answered, RENEWED_S)
-                await asyncio.sleep(_PROVED_S)
-        lead.end(who)
 
     def _choose(self, page: Page) -> None:
         """Switch a page to the robot chosen on it."""
