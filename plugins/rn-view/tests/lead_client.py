@@ -22,10 +22,16 @@ _PATIENCE_S = 60.0
 
 
 class LeadPage:
-    """An open page that may lead; fields are read from any thread."""
+    """An open page that may lead, once it has given its token if the view asks for one; fields are
+    read from any thread.
+    """
 
-    def __init__(self, url: str) -> None:
+    def __init__(self, url: str, token: str = "") -> None:
         self.page = PageClient(url)
+        if token:
+            wait_until(lambda: "Token" in self.page.labels, _PATIENCE_S, poll_s=0.05)
+            self.page.choose("Token", token)
+            self.page.choose("Show the robot", True)
         self.is_led = False
         self.text = ""
         self.echoes: list[tuple[int, str, str, str, float]] = []
