@@ -42,7 +42,7 @@ from roboneuron.server.registry import ERROR_META
 from roboneuron.supervisor.changes import Stage
 from roboneuron.tools.loop.status import status
 
-PAGE = Path(__file__).parents[1] / "docs" / "safety.md"
+PAGE = Path(__file__).parents[1] / "docs" / "safety-reference.md"
 ROW = re.compile(r"^\| ([A-Z]+) \| (`[^|]*|the code[^|]*) \|", re.MULTILINE)
 ARM = RobotSpec(
     name="arm",

@@ -20,7 +20,7 @@ StillRank: TypeAlias = Literal[
     "role",
     "person",
 ]
-"""Kind of a reason, in the order in which to remove them; docs/safety.md lists the mechanisms.
+"""Kinds of reasons, in the order in which to remove them; see docs/safety-reference.md.
 
 Up to "start" they keep the robot still whoever asks: a person has taken it out of service (until
 then no stop can be released), the emergency stop is latched, the server may not send, a module that
