@@ -1,5 +1,5 @@
 """A call of an agent passes few functions and files until its message, a key of the configuration
-until its use; docs/architecture.md has the counts and how they are taken.
+until its use; tools/way_count.py counts them.
 """
 
 from __future__ import annotations

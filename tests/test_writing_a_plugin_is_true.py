@@ -10,7 +10,6 @@ import sys
 import tomllib
 from pathlib import Path
 
-import pytest
 from contract_run import contract_run
 
 from roboneuron.cli.main import main
@@ -51,18 +50,6 @@ def test_the_extra_with_what_tests_need_has_one_name():
     template = ROOT / "plugins/rn-testing/src/rn_testing/templates/common/pyproject.toml.tmpl"
     assert 'testing = ["rn-testing[pytest]>=0.1,<0.2"]' in template.read_text(encoding="utf-8")
     assert "pip install -e '.[testing]'" in PAGE
-
-
-@pytest.mark.exhaustive
-def test_the_feature_of_the_page_keeps_its_contract_and_is_short(tmp_path):
-    project = tmp_path / "rn-feature-odometer"
-    assert main(["new", "feature", "odometer", "--directory", str(project)]) == 0
-    [(name, text)] = re.findall(
-        r"<!-- feature: (\S+) -->\n```python\n(.*?)```", PAGE, flags=re.DOTALL
-    )
-    assert len([line for line in text.splitlines() if line.strip()]) <= 40
-    (project / name).write_text(text)
-    contract_run(project, "TestOdometer")
 
 
 def test_the_page_explains_every_status():
