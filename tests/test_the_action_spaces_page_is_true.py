@@ -1,5 +1,5 @@
-"""docs/action-spaces.md: its example works, and the described refusals occur with the given
-texts.
+"""docs/action-spaces.md: its example works, and its spaces have the given units. What does not fit
+is refused.
 """
 
 from __future__ import annotations
@@ -108,13 +108,28 @@ def test_the_page_names_every_space_with_its_units() -> None:
         assert found <= set(units.split(", "))
 
 
+MESSAGES = {
+    "other channels": "the backend lacks fr3_joint7; the robot lacks hip",
+    "other unit or frame": "unit of fr3_joint1: 'deg/s', expected 'rad/s'",
+    "controller cannot execute it": "executes ee_delta",
+    "velocities without a rate": "the backend does not say how many rows a second it yields",
+    "period longer than control waits": "2 rows a second are too few",
+    "chunk in another space": "The backend answered in ee_delta",
+    "chunk with another period": "answered with 5 rows a second; it declares 15",
+    "deltas without measured joints": "The measured joints lack fr3_joint1",
+    "unknown label": "An action is labelled 'torque:fr3_joint1'; this control executes",
+    "not a number": "non-finite value at fr3_joint1",
+    "opening outside 0 .. 1": "gripper_open is 1.2",
+    "no quaternion": "have the length 0, expected 1",
+}
+"""Part of the message, by fault."""
+
+
 @pytest.mark.parametrize("fault", FAULTS)
-def test_a_fault_is_refused_in_the_words_of_the_page(fault: str) -> None:
-    rows = dict(re.findall(r"^\| ([^`|]+) \| `(.*)` \|$", PAGE, flags=re.MULTILINE))
-    assert rows.keys() == FAULTS.keys()
+def test_a_fault_is_refused_by_its_name(fault: str) -> None:
     with pytest.raises(RoboNeuronError) as refusal:
         FAULTS[fault]()
-    assert rows[fault] in refusal.value.message
+    assert MESSAGES[fault] in refusal.value.message
 
 
 def rover() -> RobotProfile:

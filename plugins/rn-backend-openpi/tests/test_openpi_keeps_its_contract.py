@@ -23,7 +23,9 @@ from rn_testing import BackendCase, BackendContract
 from roboneuron.contract import Observation
 from roboneuron.feature import loading
 
-README = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
+DOCS = Path(__file__).parents[3] / "docs"
+SERVING = (DOCS / "serving.md").read_text(encoding="utf-8")
+TWO_MACHINES = (DOCS / "two-machines.md").read_text(encoding="utf-8")
 
 
 @pytest.mark.sampled(every=4)
@@ -48,19 +50,26 @@ class TestOwnServer(BackendContract):
         return policy_case()
 
 
-def test_the_readme_names_every_option_and_profile_and_its_examples_are_valid() -> None:
-    names = {*PRESETS, *PolicyOptions.model_fields}
-    assert [name for name in sorted(names) if f"`{name}`" not in README] == []
-    blocks = re.findall(r"```toml\n(.*?)```", README, flags=re.DOTALL)
-    files = [tomllib.loads(block) for block in blocks]
-    tables = [file["plugins"]["openpi"] for file in files if "openpi" in file.get("plugins", {})]
-    read = [PolicyOptions(**table) for table in tables]
-    served = [PolicyServerOptions(**file) for file in files if "models" in file]
-    offered = [model.interface for file in served for model in file.models.values()]
-    interfaces = [*read, *filter(None, offered)]
-    assert (len(served), len(interfaces)) == (3, 4)
-    for options in interfaces:
-        layout_of(options)
+def test_the_pages_name_every_profile_and_their_examples_are_valid() -> None:
+    assert [name for name in PRESETS if f"| `{name}`" not in SERVING] == []
+    pages = SERVING + TWO_MACHINES
+    files = [
+        tomllib.loads(block) for block in re.findall(r"```toml\n(.*?)```", pages, flags=re.DOTALL)
+    ]
+    tables = [table for file in files for table in policy_tables(file)]
+    served = [
+        PolicyServerOptions(**file) for file in files if "checkpoint" in str(file.get("models"))
+    ]
+    assert (len(tables), len(served)) == (5, 2)
+    for options in map(PolicyOptions.model_validate, tables):
+        if options.profile is not None:
+            layout_of(options)
+
+
+def policy_tables(file: dict[str, Any]) -> list[dict[str, Any]]:
+    """The tables of the backends `openpi` and `shared` in a file."""
+    plugins = file.get("plugins", {})
+    return [plugins[name] for name in ("openpi", "shared") if name in plugins]
 
 
 @pytest.mark.parametrize(

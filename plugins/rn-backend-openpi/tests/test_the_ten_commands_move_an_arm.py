@@ -189,7 +189,7 @@ def test_the_ten_commands_move_an_arm_by_the_policy_of_the_other_machine(tmp_pat
                     120.0,
                     f"the model is ready: {terminal.said()}",
                 )
-            elif " serve-policy " in command:
+            elif " policy serve " in command:
                 log = terminal.leave(command)
                 wait_until(
                     lambda log=log: "Robots connect to 0.0.0.0:7420" in log.read_text(),

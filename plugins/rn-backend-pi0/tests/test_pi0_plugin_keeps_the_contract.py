@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import re
 import subprocess
 import sys
-import tomllib
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -15,9 +13,8 @@ import pytest
 from pydantic import ValidationError
 
 from rn_backend_pi0.case import ROW_TOLERANCE, fast_case
-from rn_backend_pi0.options import Pi0FastOptions, Pi0Options
+from rn_backend_pi0.options import Pi0Options
 from rn_backend_pi0.plugin import roboneuron_backends
-from rn_backend_pi0.profiles import JOINT_PROFILES
 from rn_testing import BackendCase, BackendContract
 from rn_vla.tcp_profiles import PROFILES
 from roboneuron.contract import Observation
@@ -52,24 +49,11 @@ class TestFast(BackendContract):
         return made_fast_case()
 
 
-def test_the_readme_names_every_option_and_profile_and_its_examples_are_valid() -> None:
-    text = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
-    models = (Pi0Options, Pi0FastOptions)
-    names = {*PROFILES, *JOINT_PROFILES, *(name for model in models for name in model.model_fields)}
-    assert [name for name in sorted(names) if f"`{name}`" not in text] == []
-    examples = [
-        tomllib.loads(block) for block in re.findall(r"```toml\n(.*?)```", text, flags=re.DOTALL)
-    ]
-    tables = [example["plugins"] for example in examples if "plugins" in example]
-    assert {name for table in tables for name in table} == {"pi0"}
-    for table in tables:
-        Pi0Options(checkpoint=Path("x"), **table["pi0"])
-
-
-def test_every_profile_says_its_units_in_the_readme() -> None:
-    text = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
+def test_the_page_says_the_units_of_every_profile() -> None:
+    page = Path(__file__).parents[3] / "docs" / "vla.md"
+    lines = page.read_text(encoding="utf-8").splitlines()
     for name, profile in PROFILES.items():
-        row = next(line for line in text.splitlines() if line.startswith(f"| `{name}` | delta"))
+        [row] = [line for line in lines if line.startswith(f"| `{name}` | `pi0` |")]
         action = profile.action
         scale = f"{action.translation_scale_m:g} m, {action.rotation_scale_rad:g} rad"
         words = {"rotvec": "rotation vector", "rpy": "roll, pitch, yaw"}
@@ -77,11 +61,11 @@ def test_every_profile_says_its_units_in_the_readme() -> None:
         for part in (
             scale,
             words[action.rotation],
-            action.frame,
             signs[action.gripper],
             f"{action.step_s:g} s",
         ):
             assert part in row, (name, part)
+        assert action.frame == "base"
         assert ("state added" in row) == action.adds_state
 
 

@@ -23,7 +23,7 @@ from roboneuron import ConfigurationError
 from roboneuron.config import load_config
 from roboneuron.plugins.discovery import discover
 
-PAGE = Path(__file__).parents[1] / "README.md"
+PAGE = Path(__file__).parents[3] / "docs" / "evaluation.md"
 OLDER = {"roboneuron-core": "0.1", "rn-eval": "0.1", "python": platform.python_version()}
 QUIET = Console(file=io.StringIO())
 

@@ -112,7 +112,7 @@ def test_the_commands_of_the_page_import_and_check(
     assert command.run(parser.parse_args([*imported[2:], "--codec", "h264"])) == 1
     parser = ArgumentParser()
     CheckPolicy().configure(parser)
-    arguments = parser.parse_args(checked[2:])
+    arguments = parser.parse_args(checked[checked.index("--dataset") :])
     read = read_demonstration(arguments.dataset, arguments.episode)
     assert read.instruction == "pick up"
     assert read.columns["action"].names == ("elbow", "shoulder", "gripper")
