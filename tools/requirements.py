@@ -22,20 +22,20 @@ WHOLE = "roboneuron"
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 
 
-def folders() -> dict[str, Path]:
+def folders(root: Path = ROOT) -> dict[str, Path]:
     """Folder of each package of the project by its name, except the one at the root."""
     files = [
-        ROOT / "roboneuron-core" / "pyproject.toml",
-        *sorted(ROOT.glob("plugins/*/pyproject.toml")),
+        root / "roboneuron-core" / "pyproject.toml",
+        *sorted(root.glob("plugins/*/pyproject.toml")),
     ]
     return {_project(path)["name"]: path.parent for path in files}
 
 
-def closure(needs: Iterable[str]) -> list[str]:
+def closure(needs: Iterable[str], root: Path = ROOT) -> list[str]:
     """Names of the project's packages among `needs` (as requirements), and of those that they
     require.
     """
-    known, found, waiting = folders(), set[str](), list(needs)
+    known, found, waiting = folders(root), set[str](), list(needs)
     while waiting:
         match = _NAME.match(waiting.pop())
         if match is not None and match[0] in known and match[0] not in found:

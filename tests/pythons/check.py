@@ -38,6 +38,15 @@ def run(command: list[str], folder: Path, limit_s: float, env: dict[str, str]) -
     return done.stdout
 
 
+def clean_environment(folder: Path) -> dict[str, str]:
+    """Variables for another environment, with a state folder of its own."""
+    # A virtual environment passes paths of its ROS to its children; another one must not inherit
+    # them.
+    inherited = ("_ROS_WHEELS_BOOTSTRAP_COMPLETE", "LD_LIBRARY_PATH", "PYTHONPATH")
+    env = {name: value for name, value in os.environ.items() if name not in inherited}
+    return env | {"XDG_STATE_HOME": str(folder / "state"), "COLUMNS": "200"}
+
+
 def expected_engine(python: Path, env: dict[str, str], folder: Path) -> str:
     """PyBullet if it has a wheel, otherwise MuJoCo."""
     asked = (
@@ -52,15 +61,7 @@ def expected_engine(python: Path, env: dict[str, str], folder: Path) -> str:
 
 def check(interpreter: str, folder: Path) -> None:
     """All steps with one interpreter."""
-    # A virtual environment passes paths of its ROS to its children; another one must not inherit
-    # them.
-    env = {
-        k: v
-        for k, v in os.environ.items()
-        if k not in ("_ROS_WHEELS_BOOTSTRAP_COMPLETE", "LD_LIBRARY_PATH")
-    }
-    env |= {"XDG_STATE_HOME": str(folder / "state"), "COLUMNS": "200"}
-    env.pop("PYTHONPATH", None)
+    env = clean_environment(folder)
     run([interpreter, "-m", "venv", str(folder / "venv")], folder, 300, env)
     python, roboneuron = folder / "venv/bin/python", folder / "venv/bin/roboneuron"
     install = [str(python), "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]

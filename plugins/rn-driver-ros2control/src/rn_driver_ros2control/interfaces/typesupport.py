@@ -274,7 +274,9 @@ def _compile(
         *sorted(path for path in headers.iterdir() if path.is_dir()),
     ]
     includes += [Path(sysconfig.get_path("include")), wheels.numpy_headers]
-    flags = ["-O1", "-fPIC", "-w", *(f"-I{path}" for path in includes)]
+    # numpy's and Python's macros contain __FILE__: without the map, the name of the scratch folder
+    # would make every build another one.
+    flags = ["-O1", "-fPIC", "-w", f"-ffile-prefix-map={work}=.", *(f"-I{one}" for one in includes)]
 
     def compile_one(numbered: tuple[int, Path]) -> str:
         number, source = numbered
