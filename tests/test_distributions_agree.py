@@ -10,6 +10,8 @@ from pathlib import Path
 import distributions
 import pytest
 
+from roboneuron.moved import OLD_NAMES_END
+
 CORE, VIEW, FILE = "roboneuron-core", "plugins/rn-view", "pyproject.toml"
 
 
@@ -79,6 +81,12 @@ def test_an_address_is_set_everywhere_and_again(copy: Path) -> None:
             assert distributions.facts_of(folder)["urls"]["Issues"] == f"{address}/issues"
             tables = tomllib.loads((folder / "pyproject.toml").read_text())
             assert "wheel" in tables["tool"]["hatch"]["build"]["targets"]
+
+
+def test_old_names_end_with_a_later_release() -> None:
+    """Remove those of `roboneuron.moved.OLD_NAMES_END` before that release, then raise it."""
+    version = distributions.version_of()
+    assert distributions.next_minor(version) == OLD_NAMES_END
 
 
 def test_a_tag_needs_its_version_a_heading_and_an_address(copy: Path) -> None:

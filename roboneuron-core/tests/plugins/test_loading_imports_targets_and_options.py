@@ -7,16 +7,19 @@ from pathlib import Path
 import pytest
 
 from roboneuron.errors import ConfigurationError, MissingDependencyError, PluginError
+from roboneuron.moved import OLD_NAMES_END
 from roboneuron.plugins.loading import load_options, load_target
 from roboneuron.plugins.specs import BackendSpec, DriverSpec, Requirement
 
 MODULE = """
 from pathlib import Path
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AliasChoices, BaseModel, ConfigDict, Field
 
 class Options(BaseModel):
     model_config = ConfigDict(extra="forbid")
-    gain: float = Field(default=1.0, gt=0)
+    gain: float = Field(
+        default=1.0, gt=0, validation_alias=AliasChoices("gain", "factor", "scale")
+    )
     checkpoint: Path | None = None
     sizes: tuple[int, ...] = ()
 
@@ -93,6 +96,18 @@ def test_load_options_names_the_key_and_the_nearest(servo):
         ConfigurationError, match=r"unknown key 'plugins\.servo\.gian'\. Did you mean 'gain'\?"
     ):
         load_options(servo, {"gian": 2.0})
+
+
+@pytest.mark.parametrize("old", ["factor", "scale"])
+def test_an_old_key_is_read_with_a_warning(servo, old, caplog):
+    assert load_options(servo, {old: 2.0}).gain == 2.0
+    assert f"plugins.servo.{old} is called gain now" in caplog.text
+    assert OLD_NAMES_END in caplog.text
+
+
+def test_an_old_key_beside_the_present_one_is_refused(servo):
+    with pytest.raises(ConfigurationError, match=r"unknown key 'plugins\.servo\.factor'"):
+        load_options(servo, {"gain": 1.0, "factor": 2.0})
 
 
 def test_load_options_uses_the_section_of_the_caller(servo):

@@ -8,7 +8,7 @@ from types import ModuleType, SimpleNamespace
 from typing import Annotated, Any
 
 import pytest
-from pydantic import BaseModel, ConfigDict
+from pydantic import AliasChoices, BaseModel, ConfigDict, Field
 
 from rn_testing.fakes import fake_registry
 from roboneuron import ConfigurationOnly
@@ -42,6 +42,9 @@ class Options(BaseModel):
     camera: Camera = Camera()
     key: Annotated[str, ConfigurationOnly()] = ""
     checkpoint: Annotated[Path | None, ConfigurationOnly()] = None
+    ca_file: Annotated[str, ConfigurationOnly()] = Field(
+        default="", validation_alias=AliasChoices("ca_file", "ca")
+    )
 
 
 class Heavy(BaseModel):
@@ -112,6 +115,8 @@ def select(
         ({"camera": {"rate_hz": 2.0}}, "plugins.distant.camera.device"),
         ({"camera": None}, "plugins.distant.camera.device"),
         ({"camera": {"device": "/dev/video0", "gain": 1}}, "plugins.distant.camera.gain"),
+        ({"ca": "theirs.pem"}, "plugins.distant.ca"),
+        ({"ca_file": "theirs.pem"}, "plugins.distant.ca_file"),
     ],
 )
 def test_a_restricted_option_is_refused(options: dict[str, Any], named: str, role: str) -> None:

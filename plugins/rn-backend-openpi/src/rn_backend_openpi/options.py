@@ -9,21 +9,14 @@ from pathlib import Path
 from typing import Annotated, Literal, Self
 from urllib.parse import urlsplit
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, AliasChoices, Field, model_validator
 
-from rn_backend_openpi.interface_options import InterfaceOptions, Key, put_option
+from rn_backend_openpi.interface_options import InterfaceOptions, Key
 from rn_vla.normalisation import ScalingKind
 from rn_vla.tcp_profiles import OptionSection
 from roboneuron import AgentMaySet, ConfigurationOnly
 
 log = logging.getLogger(__name__)
-_RENAMED = {
-    "api_key_file": "token_file",
-    "ca": "ca_file",
-    "request_timeout_s": "timeout_s",
-    "connect_timeout_s": "start_timeout_s",
-}
-"""Present name by the one of earlier releases, which is read until 0.2."""
 _PATHS = {"sglang": "/openpi/policy", "vllm-omni": "/v1/realtime/robot/openpi"}
 """Paths of the engines' websockets."""
 _WIRE = "websocket 1"
@@ -127,7 +120,9 @@ class PolicyOptions(InterfaceOptions, ModelOptions):
         default=None, description="name of the model at that address; optional if there is only one"
     )
     token_file: Annotated[Path | None, ConfigurationOnly()] = Field(
-        default=None, description="file with the token or API key that the server expects"
+        default=None,
+        validation_alias=AliasChoices("token_file", "api_key_file"),
+        description="file with the token or API key that the server expects",
     )
     api_key_variable: Annotated[str | None, ConfigurationOnly()] = Field(
         default=None, description="name of the environment variable with the API key"
@@ -137,6 +132,7 @@ class PolicyOptions(InterfaceOptions, ModelOptions):
     )
     ca_file: Annotated[Path | None, ConfigurationOnly()] = Field(
         default=None,
+        validation_alias=AliasChoices("ca_file", "ca"),
         description="PEM of the authority that signed the server's certificate, or the certificate;"
         " the system's authorities if unset",
     )
@@ -175,12 +171,17 @@ class PolicyOptions(InterfaceOptions, ModelOptions):
         default=0.01, ge=0, description="likewise [rad, rad/s]"
     )
     timeout_s: float = Field(
-        default=1.5, gt=0, le=60, description="deadline of each observation [s]"
+        default=1.5,
+        gt=0,
+        le=60,
+        validation_alias=AliasChoices("timeout_s", "request_timeout_s"),
+        description="deadline of each observation [s]",
     )
     start_timeout_s: float = Field(
         default=900.0,
         gt=0,
         le=3600,
+        validation_alias=AliasChoices("start_timeout_s", "connect_timeout_s"),
         description="longest wait for a server that is loading; for one that does not answer 10 s "
         "at most [s]",
     )
@@ -202,26 +203,6 @@ class PolicyOptions(InterfaceOptions, ModelOptions):
         "directory",
     )
     server: Table = Field(default={}, description="options of `roboneuron openpi-server`")
-
-    api_key_file: Annotated[Path | None, ConfigurationOnly()] = Field(
-        default=None, description="until 0.2: token_file"
-    )
-    ca: Annotated[Path | None, ConfigurationOnly()] = Field(
-        default=None, description="until 0.2: ca_file"
-    )
-    request_timeout_s: float | None = Field(
-        default=None, gt=0, le=60, description="until 0.2: timeout_s"
-    )
-    connect_timeout_s: float | None = Field(
-        default=None, gt=0, le=600, description="until 0.2: start_timeout_s"
-    )
-
-    @model_validator(mode="after")
-    def _with_new_names(self) -> Self:
-        for old in sorted(_RENAMED.keys() & self.model_fields_set):
-            log.warning("The option %s is called %s now.", old, _RENAMED[old])
-            put_option(self, _RENAMED[old], getattr(self, old))
-        return self
 
     def identity(self) -> str:
         """16 hexadecimal digits, equal for robots that share a model on this machine."""

@@ -5,6 +5,7 @@ heavy step.
 from __future__ import annotations
 
 import json
+import logging
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import date, time
@@ -20,6 +21,7 @@ from roboneuron.errors import (
     nearest,
     shortened,
 )
+from roboneuron.moved import OLD_NAMES_END
 from roboneuron.plugins import availability
 from roboneuron.plugins.specs import Loadable
 
@@ -27,6 +29,7 @@ if TYPE_CHECKING:
     from pydantic import BaseModel, ValidationError
 
 M = TypeVar("M", bound="BaseModel")
+log = logging.getLogger(__name__)
 
 
 def load_target(spec: Loadable) -> object:
@@ -137,7 +140,7 @@ def read_table(
     is_partial: bool = False,
 ) -> tuple[M | None, list[str]]:
     """Parse a table of a configuration as its model; otherwise return a sentence for each unknown,
-    missing or invalid key.
+    missing or invalid key. An old key is read with a warning.
 
     Args:
         model: model of the table.
@@ -148,6 +151,8 @@ def read_table(
     from pydantic import ValidationError  # heavy
 
     valid = [field.alias or name for name, field in model.model_fields.items()]
+    if isinstance(values, Mapping):
+        values = _with_present_keys(values, old_keys(model), place)
     unknown = [key for key in values if key not in valid] if isinstance(values, Mapping) else []
     if unknown:
         return None, [explain_unknown(f"{place}.{key}".lstrip("."), valid) for key in unknown]
@@ -155,6 +160,32 @@ def read_table(
         return model.model_validate_json(json.dumps(values, default=_plain), strict=True), []
     except ValidationError as error:
         return None, list(_explain(error, model, place, is_partial))
+
+
+def old_keys(model: type[BaseModel]) -> dict[str, str]:
+    """Present key by each old one: those after the first of `validation_alias`, as in
+    `Field(validation_alias=AliasChoices("present", "old"))`.
+    """
+    return {
+        old: field.alias or name
+        for name, field in model.model_fields.items()
+        for old in getattr(field.validation_alias, "choices", ())[1:]
+    }
+
+
+def _with_present_keys(
+    values: Mapping[str, object], old: Mapping[str, str], place: str
+) -> Mapping[str, object]:
+    """The table with present keys; an old key beside its present one is left to be refused."""
+    found = {key: now for key, now in old.items() if key in values and now not in values}
+    for key, now in found.items():
+        log.warning(
+            "%s is called %s now; the old name is accepted until %s.",
+            f"{place}.{key}".lstrip("."),
+            now,
+            OLD_NAMES_END,
+        )
+    return {found.get(key, key): value for key, value in values.items()}
 
 
 def explain_unknown(key: str, valid: Iterable[str]) -> str:

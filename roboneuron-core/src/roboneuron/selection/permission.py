@@ -62,6 +62,7 @@ def check_may_set(
     ]
     if model is not None:  # an unknown option is refused as such, with the nearest known one
         known = {field.alias or option for option, field in model.model_fields.items()}
+        known |= loading.old_keys(model).keys()  # read from a file: what they name is restricted
         changed = [key for key in changed if "." in key or key in known]
     keys = [f"{name}.{key}" for key in changed]
     barred = [

@@ -17,6 +17,7 @@ from pathlib import PurePath
 from types import UnionType
 from typing import TYPE_CHECKING, Annotated, Literal, TypeGuard, Union, get_args, get_origin
 
+from roboneuron.plugins.loading import old_keys
 from roboneuron.plugins.specs import AgentMaySet, ConfigurationOnly
 
 if TYPE_CHECKING:
@@ -90,9 +91,11 @@ def unnamed_addresses(
     model: type[BaseModel], options: Mapping[str, object], place: str = ""
 ) -> Iterator[str]:
     """Dotted names of options with an address as default that are not set in `options`."""
+    old = old_keys(model)
+    given = {*options, *(old[key] for key in options if key in old)}
     for name, field in model.model_fields.items():
         if (
-            not {name, field.alias} & options.keys()
+            not {name, field.alias} & given
             and not field.is_required()
             and OptionAccess.of(name, field).is_restricted
         ):
@@ -103,9 +106,9 @@ def unnamed_addresses(
             ):
                 yield f"{place}{name}"
         for kind in _alternatives(field.annotation):
-            given = options.get(name, options.get(field.alias or name, {}))
-            if _is_model(kind) and isinstance(given, Mapping):
-                yield from unnamed_addresses(kind, given, f"{place}{name}.")
+            inner = options.get(name, options.get(field.alias or name, {}))
+            if _is_model(kind) and isinstance(inner, Mapping):
+                yield from unnamed_addresses(kind, inner, f"{place}{name}.")
 
 
 def _is_address(name: str, value: object) -> bool:
