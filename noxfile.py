@@ -14,13 +14,13 @@ import nox
 
 sys.path.insert(0, str(Path(__file__).parent / "tools"))
 
-from lanes import benchmarks, evaluations, tests
+from lanes import benchmarks, evaluations, releases, tests
 from lanes.environments import ENVIRONMENTS, prepare
 from lanes.lane import lane
 
 nox.options.default_venv_backend = "none"
 nox.options.sessions = []
-__all__ = ["benchmarks", "environment", "evaluations", "tests"]
+__all__ = ["benchmarks", "environment", "evaluations", "releases", "tests"]
 
 
 @lane

@@ -1,8 +1,8 @@
 """Build every distribution twice, compare, and check what would be published.
 
-    python tools/release.py out/release                       # build and check
-    python tools/release.py out/release --revision v0.1.0     # of another commit
-    python tools/release.py out/old --renumber 0.0.1 --whole  # to upgrade from; see tests/pythons
+    python tools/release.py out/release/dist                              # build and check
+    python tools/release.py out/release/dist --revision v0.1.0            # of another commit
+    python tools/release.py out/release/before --renumber 0.0.1 --whole   # to upgrade from
 
 Built is what a commit has, not the working tree: source distributions and wheels from an export of
 it, then the wheels again from the unpacked source distributions in another folder. Equal bytes show
@@ -106,12 +106,12 @@ def faults_of_contents(folder: Path) -> Iterator[str]:
 
 
 def write_sums(folder: Path) -> None:
-    """SHA256SUMS, as `sha256sum --check` reads it."""
+    """SHA256SUMS beside the folder, as `sha256sum --check` reads it."""
     lines = [
-        f"{hashlib.sha256(path.read_bytes()).hexdigest()}  {path.name}\n"
+        f"{hashlib.sha256(path.read_bytes()).hexdigest()}  {folder.name}/{path.name}\n"
         for path in sorted(folder.iterdir())
     ]
-    (folder / "SHA256SUMS").write_text("".join(lines), encoding="utf-8")
+    (folder.parent / "SHA256SUMS").write_text("".join(lines), encoding="utf-8")
 
 
 def _unpack(archive: Path, folder: Path) -> None:

@@ -1,4 +1,4 @@
-"""Names that plugin authors import change only together with CHANGELOG.md."""
+"""Names that plugin authors import change only together with the list of changes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ import pytest
 import roboneuron
 
 RECORD = Path(__file__).parent / "public_api.json"
-CHANGELOG = Path(__file__).parents[2] / "CHANGELOG.md"
+ROOT = Path(__file__).parents[2]
+CHANGES = (ROOT / "CHANGELOG.md", *sorted((ROOT / "changes").glob("+*.md")))
 
 
 def _describe(name: str) -> object:
@@ -41,15 +42,15 @@ def _signature(function: object) -> str:
 
 
 def test_the_api_is_as_recorded() -> None:
-    """After a deliberate change: describe it in CHANGELOG.md, then run this file as a program."""
+    """After a deliberate change: describe it in changes/, then run this file as a program."""
     now = {name: _describe(name) for name in sorted(roboneuron.__all__)}
     assert now == json.loads(RECORD.read_text(encoding="utf-8"))["names"]
 
 
 def test_the_record_names_its_entry_in_the_changelog() -> None:
     entry = json.loads(RECORD.read_text(encoding="utf-8"))["changelog"]
-    assert entry in CHANGELOG.read_text(encoding="utf-8"), (
-        "the public API changed without an entry in CHANGELOG.md"
+    assert any(entry in path.read_text(encoding="utf-8") for path in CHANGES), (
+        "the public API changed without an entry in changes/"
     )
 
 
@@ -77,9 +78,7 @@ def test_an_unknown_name_is_an_attribute_error() -> None:
 
 
 if __name__ == "__main__":
-    newest = next(
-        line for line in CHANGELOG.read_text(encoding="utf-8").splitlines() if line.startswith("- ")
-    )
+    newest = CHANGES[-1].read_text(encoding="utf-8").splitlines()[-1]
     entry = sys.argv[1] if len(sys.argv) > 1 else newest
     RECORD.write_text(
         json.dumps(

@@ -258,13 +258,3 @@ def interop_sglang(session: nox.Session) -> None:
     theirs = ("--python", str(python_of("sglang")))
     python(session, "plugins/rn-runtime-sglang/interop/check.py", *theirs)
     session.run(sys.executable, "plugins/rn-runtime-sglang/interop/loop.py", *theirs)
-
-
-@lane
-def wheels(session: nox.Session) -> None:
-    """build a wheel of every package into out/wheels"""
-    out = ROOT / "out" / "wheels"
-    shutil.rmtree(out, ignore_errors=True)
-    for folder in (ROOT / "roboneuron-core", *sorted(ROOT.glob("plugins/rn-*")), ROOT):
-        with session.chdir(folder):
-            session.run(sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(out))
