@@ -10,7 +10,7 @@ from pathlib import Path
 import distributions
 import pytest
 
-from roboneuron.moved import OLD_NAMES_END
+from roboneuron.plugins.loading import OLD_NAMES_END
 
 CORE, VIEW, FILE = "roboneuron-core", "plugins/rn-view", "pyproject.toml"
 
@@ -84,7 +84,7 @@ def test_an_address_is_set_everywhere_and_again(copy: Path) -> None:
 
 
 def test_old_names_end_with_a_later_release() -> None:
-    """Remove those of `roboneuron.moved.OLD_NAMES_END` before that release, then raise it."""
+    """Before a minor release remove the old names that end with it, then raise OLD_NAMES_END."""
     version = distributions.version_of()
     assert distributions.next_minor(version) == OLD_NAMES_END
 

@@ -1,13 +1,8 @@
-"""Old names: when they end, and an error that says what replaces an attribute."""
+"""Names that features used once: an error that says what replaces them."""
 
 from __future__ import annotations
 
 from roboneuron.errors import PluginError
-
-OLD_NAMES_END = "0.2"
-"""Release without the old names of commands and configuration keys; docs/versioning.md says how
-long they stay.
-"""
 
 
 class Moved:

@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 
 from roboneuron.errors import ConfigurationError, MissingDependencyError, PluginError
-from roboneuron.moved import OLD_NAMES_END
-from roboneuron.plugins.loading import load_options, load_target
+from roboneuron.plugins.loading import OLD_NAMES_END, load_options, load_target
 from roboneuron.plugins.specs import BackendSpec, DriverSpec, Requirement
 
 MODULE = """

@@ -21,7 +21,6 @@ from roboneuron.errors import (
     nearest,
     shortened,
 )
-from roboneuron.moved import OLD_NAMES_END
 from roboneuron.plugins import availability
 from roboneuron.plugins.specs import Loadable
 
@@ -30,6 +29,8 @@ if TYPE_CHECKING:
 
 M = TypeVar("M", bound="BaseModel")
 log = logging.getLogger(__name__)
+OLD_NAMES_END = "0.2"
+"""Release without the present old names of keys; docs/versioning.md says how long they stay."""
 
 
 def load_target(spec: Loadable) -> object:
