@@ -27,6 +27,7 @@ from roboneuron.direct_path.fields import load_type
 from roboneuron.errors import InvalidInputError, RoboNeuronError
 from roboneuron.ros import messages
 from roboneuron.server.host import Host
+from roboneuron.supervisor.overload import overload
 
 if TYPE_CHECKING:
     from geometry_msgs.msg import PoseStamped
@@ -200,9 +201,10 @@ def why_no_image(host: Host) -> str:
             "it: call start_robot."
         )
     if view.phase == "running" and view.plan is not None:
+        load = overload()
         return (
             f"Perception runs with the cameras: {view.plan.names.get('cameras', 'none')}. If it is "
-            "one of them, its picture is late: look again."
+            f"one of them, its picture is late{f' ({load})' if load else ''}: look again."
         )
     if view.phase in ("starting", "stopping"):
         return f"Perception is {view.phase}: wait for that, then try again."

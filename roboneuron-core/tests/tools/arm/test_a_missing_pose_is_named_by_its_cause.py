@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
@@ -49,6 +50,16 @@ def lose_unseen(starts: Starts) -> None:
     starts.lost = "robot is frozen"
 
 
+def host_of(starts: Starts, listeners: list[Callable[[object], None]]) -> Any:
+    return SimpleNamespace(
+        loop=SimpleNamespace(starts=starts),
+        graph=None,
+        subscribe=lambda kind, topic, listen: listeners.append(listen),
+        config=SimpleNamespace(namespace="fr3"),
+        modules=SimpleNamespace(view=lambda kind: SimpleNamespace(phase="running")),
+    )
+
+
 @pytest.mark.parametrize(
     ("lose", "timeout_s", "error", "told"),
     [
@@ -62,13 +73,24 @@ def test_a_pose_that_does_not_come_is_named_by_its_cause(
     lose: Callable[[Starts], None], timeout_s: float, error: type[Exception], told: str
 ) -> None:
     starts = Starts()
-    host: Any = SimpleNamespace(
-        loop=SimpleNamespace(starts=starts),
-        graph=None,
-        subscribe=lambda *_: lambda: None,
-        config=SimpleNamespace(namespace="fr3"),
-        modules=SimpleNamespace(view=lambda kind: SimpleNamespace(phase="running")),
-    )
     lose(starts)
     with pytest.raises(error, match=told):
-        MeasuredPose(host, "fr3").wait(timeout_s)
+        MeasuredPose(host_of(starts, []), "fr3").wait(timeout_s)
+
+
+@pytest.mark.parametrize("load", [0.0, 1000.0])
+def test_a_late_pose_on_an_overloaded_computer_names_the_load(
+    load: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from geometry_msgs.msg import PoseStamped  # heavy
+
+    monkeypatch.setattr(os, "getloadavg", lambda: (load, load, load))
+    listeners: list[Callable[[object], None]] = []
+    measured = MeasuredPose(host_of(Starts(), listeners), "fr3")
+    measured.open()
+    message = PoseStamped()
+    message.pose.orientation.w = 1.0
+    listeners[0](message)
+    with pytest.raises(NotReadyError) as caught:
+        measured.wait(0.05, newer_than_ns=1)
+    assert ("load 1000" in str(caught.value.hint)) == (load > 0)

@@ -39,6 +39,7 @@ class GripHeight(Grip):
         self._opening: float | None = None
         self._closed_at_m: float | None = None
         self.held: HeldObject | None = None
+        self._has_closed = False
         self._clock = host.clock(exposed.namespace)
 
     @property
@@ -51,6 +52,11 @@ class GripHeight(Grip):
     def held_name(self) -> str:
         """What the hand holds, for sentences, when something blocks its fingers."""
         return "something" if self.held is None else told_name(self.held.object)
+
+    def hold(self, held: HeldObject) -> None:
+        """Remember what the hand, which was commanded to close, has grasped."""
+        self._has_closed = False
+        self.held = held
 
     def watch(self) -> None:
         """Start observing; does nothing the second time."""
@@ -67,7 +73,9 @@ class GripHeight(Grip):
         """
         before, now = self._opening, self.commanded()
         self._opening = now
-        if before is not None and now is not None and abs(now - before) > _CLOSES:
+        if now is not None and now <= _CLOSES:
+            self._has_closed = True  # the report of the opening comes later than the grasp is known
+        elif now is not None and self._has_closed:
             self.held = None
         if now is not None and (1.0 if before is None else before) - now > _CLOSES:
             self._closed_at_m = height_m

@@ -15,6 +15,7 @@ from roboneuron.contract.arrays import F64
 from roboneuron.errors import NotReadyError
 from roboneuron.server.host import Host
 from roboneuron.sight.inputs import pose_of
+from roboneuron.supervisor.overload import overload
 
 if TYPE_CHECKING:
     from geometry_msgs.msg import PoseStamped
@@ -114,7 +115,13 @@ class MeasuredPose:
         """What to do when no pose comes."""
         is_own = self._topic.startswith(f"/{self._host.config.namespace}/")
         has_ended = self._host.modules.view("robot").phase in ("stopped", "exited")
-        return "Call start_robot first." if is_own and has_ended else "See get_status."
+        if is_own and has_ended:
+            return "Call start_robot first."
+        load = overload()
+        if self._newest is None or not load:
+            return "See get_status."
+        age_s = time.monotonic() - self._newest[0]
+        return f"The last one is {age_s:.1f} s old: {load}. End what else runs, then call it again."
 
     def open(self) -> None:
         """Subscribe; does nothing the second time. Raises RoboNeuronError if ROS cannot be

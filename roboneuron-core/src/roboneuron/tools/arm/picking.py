@@ -110,9 +110,13 @@ class Picker:
             context,
         )
         carrier = RobotCarrier(self.mover, context)
-        await run_route(carrier, route, arguments.speed, self.mover.fastest)
-        if self._remember is not None:
-            self._remember(grasp)
+
+        def reached(part: Waypoint) -> None:
+            """Remember the grasp at once: what the hand holds is known if the lift ends early."""
+            if part.opening == 0.0 and self._remember is not None:
+                self._remember(grasp)
+
+        await run_route(carrier, route, arguments.speed, self.mover.fastest, reached)
         since_ns = now_ns()
         after = await context.run(lambda _: looker.look(context.who, since_ns))
         others = displaced(before, after, grasp.object)

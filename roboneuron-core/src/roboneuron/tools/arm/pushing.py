@@ -187,7 +187,7 @@ def _check_clear(nearest: tuple[float, str], subject: str) -> None:
     distance_m, name = nearest
     if distance_m < _CLEAR_M:
         raise RefusedError(
-            f"{subject} would come to {distance_m * 1000:.0f} mm from {name}, at least "
+            f"{subject} would come to {distance_m * 1000:.1f} mm from {name}, at least "
             f"{_CLEAR_M * 1000:.0f} are needed.",
             hint=f"Move {name} away first, or pick and place instead.",
             rule="in_the_way",

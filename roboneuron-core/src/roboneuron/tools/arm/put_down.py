@@ -215,7 +215,7 @@ def descents_of(
     if not free:
         best, name = max(found, key=lambda pair: pair[0].clearance_m)
         raise RefusedError(
-            f"The fingers would be {best.clearance_m * 1000:.0f} mm from {name} when they let go, "
+            f"The fingers would be {best.clearance_m * 1000:.1f} mm from {name} when they let go, "
             f"at least {_CLEAR_M * 1000:.0f} are needed.",
             hint="Choose another side, a larger gap or another place.",
             rule="too_close",

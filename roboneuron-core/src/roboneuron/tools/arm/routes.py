@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from typing import Protocol
@@ -143,15 +143,22 @@ class _TwinCarrier(DrivenCarrier):
 
 
 async def run_route(
-    carrier: Carrier, route: Sequence[Waypoint], speed: float, fastest: tuple[float, float]
+    carrier: Carrier,
+    route: Sequence[Waypoint],
+    speed: float,
+    fastest: tuple[float, float],
+    reached: Callable[[Waypoint], object] = lambda _: None,
 ) -> None:
-    """Carry out a route. Raises as the carrier, and as `go_to`; the hint says what is done."""
+    """Carry out a route; `reached` is called after each part. Raises as the carrier, and as
+    `go_to`; the hint says what is done.
+    """
     done = ""
     for part in route:
         try:
             await _carry_out(carrier, part, speed * part.speed, fastest)
         except RoboNeuronError as error:
             raise error.with_hint(done) from error
+        reached(part)
         done = part.done or done
 
 

@@ -71,8 +71,7 @@ def arm_tools(
 
     def remember(arm: str, grasp: Grasp) -> None:
         hands[arm].watch()
-        held = HeldObject.seen(grasp.object, grasp.position_m, grasp.yaw_rad)
-        hands[arm].held = held
+        hands[arm].hold(HeldObject.seen(grasp.object, grasp.position_m, grasp.yaw_rad))
 
     return [
         move,

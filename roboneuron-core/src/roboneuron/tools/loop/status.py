@@ -18,12 +18,11 @@ from roboneuron.gate import StillReason
 from roboneuron.server.host import Host
 from roboneuron.server.loop import ClosedLoop
 from roboneuron.server.tool import Arguments, CallContext, Resource, Tool
+from roboneuron.supervisor.overload import overload
 from roboneuron.tools.loop.results import ModuleStatus, ReasonResult, RobotStatus, StatusResult
 
 STATUS_URI = "roboneuron://status"
 _RECENT_S = 300.0
-_OVERLOADED = 1.5
-"""Runnable processes for each core from which modules are late."""
 
 
 @cache
@@ -95,10 +94,8 @@ def _interruptions(host: Host) -> list[str]:
                     f"{count} interruption{plural} of {', '.join(modules)} in the last "
                     f"{_RECENT_S / 60:.0f} minutes, the newest {age_s:.0f} s ago"
                 )
-    load, cores = os.getloadavg()[0], os.cpu_count() or 1
-    if told and load > _OVERLOADED * cores:
-        told.append(f"this computer is overloaded (load {load:.0f} on {cores} cores)")
-    return told
+    load = overload()
+    return [*told, load] if told and load else told
 
 
 def summary(host: Host, reasons: Sequence[StillReason]) -> str:
