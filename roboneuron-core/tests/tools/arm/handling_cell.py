@@ -126,7 +126,7 @@ class Cell:
         self.moves.append(move)
         delta = np.array([move.dx_m, move.dy_m, move.dz_m])
         self.position = self.position + delta
-        self._carry(delta)
+        self.carry(delta)
         if move.gripper_open is not None:
             self._grip(move.gripper_open)
         if len(self.moves) >= self.stops_after:
@@ -142,7 +142,7 @@ class Cell:
             position_m=self.position.tolist(),
         )
 
-    def _carry(self, delta: Any) -> None:
+    def carry(self, delta: Any) -> None:
         for colour, one in self.cubes.items():
             near = np.linalg.norm(one.position_m[:2] - self.position[:2]) < 0.034
             is_low = self.position[2] < EDGE_M

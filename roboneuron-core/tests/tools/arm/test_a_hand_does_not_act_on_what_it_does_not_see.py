@@ -95,14 +95,14 @@ def test_a_refusal_that_does_not_hang_on_what_is_hidden_keeps_its_rule(cell: Cel
     assert refusal.value.rule == "occupied"
 
 
-@pytest.mark.parametrize(("act", "more"), [(pick, {"yaw_deg": 0.0}), (push, {"dx_m": 0.06})])
+@pytest.mark.parametrize(("act", "more"), [(pick, {"yaw_deg": 0.0}), (push, {"dx_m": 0.05})])
 def test_a_hidden_neighbour_keeps_nothing_from_being_picked_or_pushed(
     cell: Cell, act: Any, more: dict[str, Any]
 ) -> None:
     cell.hidden_below_m = {"green": cell.position[2] + 0.05}
     before = cell.cubes["red"].position_m
     act(cell, object="red", **more)
-    assert np.linalg.norm(cell.cubes["red"].position_m - before) > 0.04
+    assert np.linalg.norm(cell.cubes["red"].position_m - before) > 0.035
 
 
 @pytest.mark.parametrize(

@@ -107,6 +107,27 @@ def test_an_object_is_pushed_and_corrected_until_it_is_there(cell: Cell) -> None
     assert set(cell.forgotten) == {"red"}
 
 
+def test_a_push_that_misses_is_an_error_that_says_what_is_left(
+    cell: Cell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    carry = cell.carry
+
+    def overshoot(delta: Any) -> None:
+        before = cell.cubes["red"].position_m
+        carry(delta)
+        slid = cell.cubes["red"].position_m - before
+        cell.cubes["red"] = replace(cell.cubes["red"], position_m=before + 2.0 * slid)
+        if np.any(slid):
+            cell.is_reachable = False  # from the other side it cannot be pushed back
+
+    monkeypatch.setattr(cell, "carry", overshoot)
+    with pytest.raises(StateError) as missed:
+        push(cell, object="red", dx_m=0.06)
+    left_m = 0.56 - cell.cubes["red"].position_m[0]
+    assert left_m < -0.01
+    assert f"dx_m {left_m:.3f}" in str(missed.value.hint)
+
+
 def test_a_pushed_object_that_is_seen_badly_keeps_its_height(
     cell: Cell, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -102,7 +102,7 @@ def refused_route(
     return RefusedError(
         f"{subject} is out of reach from this posture; nothing has moved. As simulated: "
         f"{refusal.message}",
-        hint="Choose another place, or another posture to begin from.",
+        hint="Choose a place that this reason leaves free, or begin from another posture.",
         rule="out_of_reach",
     )
 

@@ -40,6 +40,8 @@ _CLEAR_M = 0.005
 _LEAST_M = 0.003
 """Shorter parts of a push are not made."""
 _GOOD_M, _TRIES = 0.005, 3
+_MISSED_M = 0.010
+"""Beyond it and the uncertainty of the sighting, the object did not go where it was to go."""
 _SPEED = 0.3
 _FLOOR_M = 0.012
 
@@ -217,7 +219,7 @@ class Pusher:
             InvalidInputError: no such object, or several, or no shift.
             RefusedError: it cannot be pushed, with the rule and the distance.
             NotReadyError: nothing can be seen or measured.
-            StateError: the object is no longer seen.
+            StateError: the object is no longer seen, or did not go where it was to go.
         """
         began_s = time.monotonic()
         looker = looker_of(self._host)
@@ -248,6 +250,14 @@ class Pusher:
             if len(route) <= 2:
                 break
         moved_m = seen.position_m[:2] - one.position_m[:2]
+        off_m = float(np.linalg.norm(left))
+        if off_m > _MISSED_M + seen.uncertainty_m:
+            raise StateError(
+                f"{told_name(one)} was pushed by {np.round(moved_m, 3).tolist()} m, and is "
+                f"{off_m * 1000:.0f} mm from where it was to be.",
+                hint=f"What is left: dx_m {left[0]:.3f}, dy_m {left[1]:.3f}. Push from a side that "
+                "is free, or pick and place.",
+            )
         # it slides on the table: a bad sighting tells its height worst
         height_m = (seen if is_seen_well(seen) else one).position_m[2]
         others = displaced(before, after, one)
@@ -259,7 +269,7 @@ class Pusher:
                 "dx_m": round(float(moved_m[0]), 4),
                 "dy_m": round(float(moved_m[1]), 4),
             },
-            error_m=round(float(np.linalg.norm(left)), 4),
+            error_m=round(off_m, 4),
             position_m=np.round([*seen.position_m[:2], height_m], 4).tolist(),
             pushes=pushes,
             **others.model_dump(exclude_unset=True),
