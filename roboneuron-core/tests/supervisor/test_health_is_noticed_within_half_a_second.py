@@ -88,6 +88,17 @@ def test_one_word_says_how_a_module_is(
     )
 
 
+@pytest.mark.parametrize("load", [0.0, 1000.0])
+def test_an_overloaded_computer_is_no_reason_for_a_restart(
+    load: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(os, "getloadavg", lambda: (load, load, load))
+    reason = ModuleView(kind="robot", phase="running", report=report()).still_reason(100.5)
+    assert reason is not None
+    assert reason.rule == "silent"
+    assert ("load 1000" in reason.hint) == (load > 0)
+
+
 def test_an_event_is_passed_on_once_and_the_next_process_counts_anew() -> None:
     reports: list[Report | None] = [None]
     told: list[tuple[object, ...]] = []

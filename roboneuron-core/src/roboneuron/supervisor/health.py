@@ -19,6 +19,7 @@ from roboneuron.modules.report import Report
 from roboneuron.modules.settings import MODULE_KINDS, ModuleKind
 from roboneuron.planning import Plan
 from roboneuron.supervisor.changes import Changes, Periodic
+from roboneuron.supervisor.overload import overload
 from roboneuron.supervisor.process import ModuleProcess, ProcessEvents
 from roboneuron.supervisor.slot import Phase, Slot, describe_exit, not_running
 
@@ -71,7 +72,7 @@ EXPLANATIONS: dict[Health, str] = {
     "exited": "its process ended by itself",
 }
 _ADVICE: dict[str, str] = {
-    "silent": "If it lasts, stop the module and start it again. The machine may be overloaded.",
+    "silent": "If it lasts, stop the module and start it again.",
     "stuck": "Stop the module and start it again.",
     "stalled": "See what it waits for, then stop it and start it again.",
     "failing": "Do what the message says. The module continues once the cause is gone.",
@@ -146,6 +147,9 @@ class ModuleView:
             message = f"{self.kind} waits for {report.waiting_for}."
         elif health == "ok":
             return None
+        load = overload()
+        if rule == "silent" and load:
+            hint = f"T{load[1:]}: end what else runs on it. A restart of the module does not help."
         return StillReason(
             rank="module", rule=rule, message=message, hint=hint or _ADVICE.get(rule, "")
         )
