@@ -4,6 +4,7 @@ the source, its limits by the calibration.
 
 from __future__ import annotations
 
+import json
 import re
 import tomllib
 from pathlib import Path
@@ -15,9 +16,11 @@ pytest.importorskip("rn_cameras")
 
 from rn_cameras import calibrating
 from rn_cameras.command import Cameras
-from rn_perception_camera.options import VideoCamerasOptions
+from rn_perception_camera.options import RosCamerasOptions, VideoCamerasOptions
 from rn_standard.console.parsers import whole_parser
 from roboneuron.config import parse_config
+
+OPTIONS = {"ros-camera": RosCamerasOptions, "video-camera": VideoCamerasOptions}
 
 
 @pytest.fixture
@@ -41,12 +44,16 @@ def test_its_board_is_printed(page: str, tmp_path: Path, monkeypatch: pytest.Mon
     assert Path("board.pdf").stat().st_size > 1000
 
 
-def test_its_configuration_is_accepted(page: str) -> None:
-    text = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)[0]
-    config = parse_config(text)
-    assert config.perception is not None
-    source = tomllib.loads(text)["plugins"][config.perception.source]
-    assert VideoCamerasOptions.model_validate(source).cameras.keys() == {"front", "wrist"}
+def test_its_configurations_are_accepted(page: str) -> None:
+    sources = set()
+    for text in re.findall(r"```toml\n(.*?)```", page, re.DOTALL):
+        perception = parse_config(text).perception
+        assert perception is not None
+        options = json.dumps(tomllib.loads(text)["plugins"][perception.source])
+        told = OPTIONS[perception.source].model_validate_json(options)
+        assert tuple(told.cameras) == perception.cameras
+        sources.add(perception.source)
+    assert sources == OPTIONS.keys()
 
 
 def test_its_setups_and_limits_are_those_of_the_command(page: str) -> None:

@@ -53,6 +53,13 @@ def test_every_page_is_in_the_navigation() -> None:
     assert listed == {path.relative_to(DOCS).as_posix() for path in DOCS.rglob("*.md")}
 
 
+def test_the_list_of_packages_is_complete() -> None:
+    page = (DOCS / "packages.md").read_text(encoding="utf-8")
+    named = set(re.findall(r"^\|(.*?)\|", page, re.MULTILINE))
+    folders = {path.parent.name for path in ROOT.glob("plugins/*/pyproject.toml")}
+    assert set(re.findall(r"`([^`]+)`", " ".join(named))) == folders
+
+
 def files_named(text: str, page: str) -> list[str]:
     """Paths in backticks, relative to the repository's root; braces as in a shell."""
     names = re.findall(r"`([^`\s<>]+/(?:[^`\s<>]*\.(?:py|toml|md|json|yml))?)`", text)
@@ -121,11 +128,7 @@ def test_drawn_pictures_load_nothing() -> None:
 def test_pictures_of_the_readme_are_there_and_small() -> None:
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     pictures = re.findall(r"!\[[^\]]+\]\(([^)]+)\)", text)
-    assert pictures == [
-        "docs/assets/demo.webp",
-        "docs/assets/processes.svg",
-        "docs/assets/view-live.jpg",
-    ]
+    assert pictures == ["docs/assets/demo.webp", "docs/assets/processes.svg"]
     assert all((ROOT / picture).stat().st_size < 1_500_000 for picture in pictures)
 
 

@@ -157,6 +157,18 @@ ENVIRONMENTS = {
         constraints=_ros_constraints,
         costs="several gigabytes; LeRobot needs Python >= 3.12",
     ),
+    # all that docs/so101.md needs: the server, LeRobot's arms, cameras and policies
+    "so101": Environment(
+        ("lerobot[dataset,hardware,feetech,diffusion,smolvla,pi]==0.6.1", "scipy", "tomlkit"),
+        ours=(
+            *_demo_packages(),
+            *("plugins/rn-robot-lerobot", "plugins/rn-perception-camera", "plugins/rn-vla"),
+            *("plugins/rn-backend-lerobot", "plugins/lerobot-robot-roboneuron"),
+        ),
+        python=LEROBOT_PYTHON,
+        constraints=_ros_constraints,
+        costs="several gigabytes; LeRobot needs Python >= 3.12",
+    ),
     # its reference stack is for Python 3.10 and 3.11 only
     "libero": Environment(
         ("--requirement", "plugins/rn-eval/simulator-requirements.txt"),

@@ -138,7 +138,7 @@ def print_short(registry: Registry) -> None:
     known = {package.partition("[")[0] for package in availability.known_names().values()}
     absent = sorted(known - {record.distribution for record in registry.plugins})
     if absent:
-        print(_paint("\nNOT INSTALLED", "bold") + " (what they offer: README.md, Plugins)")
+        print(_paint("\nNOT INSTALLED", "bold") + " (what they offer: docs/packages.md)")
         print(_wrapped(", ".join(absent), 0))
         print(_wrapped(f"One of them: {install_command(absent[0])}", 2))
     print(

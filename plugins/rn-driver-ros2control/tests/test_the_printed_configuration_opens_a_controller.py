@@ -1,12 +1,11 @@
-"""The page about ros2_control prints a configuration and a stand-in for it: they are run as they
-are printed.
+"""The page about ros2_control prints a configuration for franka_ros2: the driver opens a controller
+with its names, in another process.
 """
 
 from __future__ import annotations
 
 import json
 import os
-import shlex
 import subprocess
 import sys
 import textwrap
@@ -21,12 +20,10 @@ pytest.importorskip(
     "control_msgs", reason="control_msgs is not built here (it needs a C++ compiler)"
 )
 
-from rn_driver_ros2control.standin_node import parse
 from rn_robot_fr3.profile import profile
 from rn_testing.domain import free_ros_domain
 
 PAGE = Path(__file__).parents[3] / "docs/ros2-control.md"
-PROGRAM = "python -m rn_driver_ros2control.standin_node"
 
 
 DRIVER = """
@@ -67,17 +64,14 @@ def printed_options() -> dict[str, Any]:
     return dict(tomllib.loads(textwrap.dedent(block))["plugins"]["fr3"])
 
 
-def printed_arguments() -> list[str]:
-    text = PAGE.read_text()
-    command = text[text.index(PROGRAM) :].split("\n\n")[0]
-    return shlex.split(command.replace("\\\n", " "))[3:]
-
-
-def test_names_of_the_stand_in_are_those_of_the_configuration():
-    options, stand_in = printed_options(), vars(parse(printed_arguments()))
+def arguments() -> list[str]:
+    """Options of a stand-in with the names of the configuration."""
+    options = printed_options()
     names = ("controller", "joint_states", "gripper_action", "gripper_joint_states")
-    assert {name: stand_in[name] for name in names} == {name: options[name] for name in names}
-    assert tuple(stand_in["joints"]) == profile().arm_joints
+    named = [word for name in names for word in ("--" + name.replace("_", "-"), options[name])]
+    home = ("0", "-0.785", "0", "-2.356", "0", "1.571", "0.785")
+    joints = ("--joints", *profile().arm_joints, "--start", *home)
+    return [*named, *joints, "--gripper-joint", "fr3_finger_joint1"]
 
 
 @pytest.fixture
@@ -87,7 +81,7 @@ def stand_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[subpro
     from roboneuron.ros.environment import prepare_environment
 
     prepare_environment(tmp_path)
-    command = [sys.executable, *shlex.split(PROGRAM)[1:], *printed_arguments()]
+    command = [sys.executable, "-m", "rn_driver_ros2control.standin_node", *arguments()]
     with (tmp_path / "standin.log").open("wb") as log:
         process = subprocess.Popen(command, stdout=log, stderr=log, env=environment)
     yield process
