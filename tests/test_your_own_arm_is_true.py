@@ -24,10 +24,10 @@ PAGE = (Path(__file__).parents[1] / "docs" / "tutorials" / "your-own-arm.md").re
 LINES = PAGE.replace("\\\n", "")
 """The page with continued lines joined."""
 FILES = dict(re.findall(r"<!-- file: (\S+) -->\n```\w+\n(.*?)```", PAGE, flags=re.DOTALL))
-[CREATE] = re.findall(r"^roboneuron (new robot .*)$", PAGE, flags=re.MULTILINE)
+[CREATE] = re.findall(r"^roboneuron (plugins new robot .*)$", PAGE, flags=re.MULTILINE)
 [CALLS] = re.findall(r"\$ roboneuron (call .*?)```", LINES, flags=re.DOTALL)
 [REAL] = re.findall(r"```toml\n(\[robot\].*?)```", PAGE, flags=re.DOTALL)
-[STAND_IN] = re.findall(r"^roboneuron (stand-in .*)$", PAGE, flags=re.MULTILINE)
+[STAND_IN] = re.findall(r"^roboneuron (robot stand-in .*)$", PAGE, flags=re.MULTILINE)
 CONTROL_PAGE = (Path(__file__).parents[1] / "docs" / "ros2-control.md").read_text(encoding="utf-8")
 EIGHT_LINES = re.findall(r"```toml\n(\[robot\].*?)```", CONTROL_PAGE, flags=re.DOTALL)[0]
 """The configuration of any arm behind ros2_control."""
