@@ -2,11 +2,10 @@
 
     python tools/trace_ways.py    # needs ROS and the packages of `make demo`; at most five minutes
 
-`publish_way.py` and `key_way.py` trace the two other ways that docs/architecture.md lists, without
-ROS. Here the default configuration is served and started, and every function of the project that a
-module calls is noted once, until control has acted on an action. What counts is on the threads that
-carry the image, below callbacks that do: timers and watches that run beside are left out
-(`BESIDE`).
+`publish_way.py` and `key_way.py` trace a call and a key, without ROS. Here the default
+configuration is served and started, and every function of the project that a module calls is noted
+once, until control has acted on an action. What counts is on the threads that carry the image,
+below callbacks that do: timers and watches that run beside are left out (`BESIDE`).
 """
 
 from __future__ import annotations

@@ -24,7 +24,7 @@ class Moved:
             return self
         raise PluginError(
             f"{self._name} is no more; {self._instead} replaces it.",
-            hint="docs/interceptors.md says how to move, under 'Moving from older hooks'.",
+            hint="docs/interceptors.md shows how.",
         )
 
     def __set__(self, instance: object, value: object) -> None:
