@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rn_backend_pi0.options import Pi0Options
 from rn_robot_fr3.profile import profile
 from rn_runtime_torch.config import TorchRuntimeConfig
 from roboneuron.cli.main import main
@@ -65,16 +64,14 @@ def test_the_files_of_the_page_are_valid(
     monkeypatch.chdir(folder)
     text = FILES["roboneuron.toml"] if kind != "real" else of_a_real_arm()
     if kind == "on a GPU":
-        text = text[: text.index("[plugins.pi0]")] + FILES["pi0-gpu.toml"] + FILES["gpu.toml"]
+        text += FILES["gpu.toml"]
     (folder / "roboneuron.toml").write_text(text, encoding="utf-8")
     assert main(["config", "check", "roboneuron.toml"]) == 0, capsys.readouterr().err
 
 
 def test_the_lines_for_a_gpu_demand_one() -> None:
     torch = tomllib.loads(FILES["gpu.toml"])["plugins"]["torch"]
-    pi0 = tomllib.loads(FILES["pi0-gpu.toml"])["plugins"]["pi0"]
     assert TorchRuntimeConfig(**torch).device == "cuda"
-    assert Pi0Options(checkpoint=Path("x"), **pi0).device == "cuda"
 
 
 def test_a_checkpoint_has_the_files_that_the_page_names(folder: Path) -> None:
