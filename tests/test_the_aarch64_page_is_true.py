@@ -1,4 +1,6 @@
-"""docs/aarch64.md: its table has every distribution, and its overrides every package of ROS."""
+"""docs/reference/aarch64.md: its table has every distribution, and the overrides every
+package of ROS.
+"""
 
 from __future__ import annotations
 

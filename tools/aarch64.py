@@ -1,6 +1,6 @@
 """What pip would install on aarch64 (Jetson): every distribution resolved there, nothing installed.
 
-`make aarch64` compares the table of docs/aarch64.md with what the index has today; with
+`make aarch64` compares the table of docs/reference/aarch64.md with what the index has today; with
 `ARGS=--write` it writes the table anew. `python tools/aarch64.py --sourced` prints the overrides of
 uv that leave the ROS packages to a sourced installation.
 """
@@ -17,7 +17,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-PAGE = ROOT / "docs" / "aarch64.md"
+PAGE = ROOT / "docs" / "reference" / "aarch64.md"
 PLATFORM, PYTHON = "aarch64-manylinux_2_28", "3.12"
 _BEGIN, _END = "<!-- table: make aarch64 -->", "<!-- end of the table -->"
 _WANTING = re.compile(
