@@ -16,10 +16,13 @@ import msgspec
 import viser
 import zstandard
 from websockets.exceptions import ConnectionClosed
-from websockets.sync.client import connect
+from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin, Subprotocol
 
+from rn_testing.waiting import wait_until
 from rn_view.page.stop_bar import HEADER, HEADER_VALUE, STOP_PATH
+from rn_view.teleoperation.stick_panel import PROTOCOL as LEAD_PROTOCOL
+from rn_view.web.page_requests import PICTURES_PATH
 from roboneuron.supervisor.health import EXPLANATIONS
 
 PROTOCOL = f"viser-v{viser.__version__}"
@@ -52,13 +55,36 @@ def ask_stop(url: str, robot: str = "", **headers: str) -> str:
         return str(json.load(answer)["text"])
 
 
+def opened_pictures(page: PageClient) -> ClientConnection:
+    """The websocket with the pictures of a page, after its list of cameras was read."""
+    wait_until(lambda: bool(page.key), 60.0, poll_s=0.02)
+    socket = connect_pictures(page.url, page.key)
+    socket.recv(60.0)
+    return socket
+
+
+def connect_pictures(url: str, key: str) -> ClientConnection:
+    """Open a websocket for pictures."""
+    return connect(
+        f"{url.replace('http', 'ws', 1)}{PICTURES_PATH}?key={key}",
+        origin=Origin(url),
+        subprotocols=[Subprotocol(LEAD_PROTOCOL)],
+    )
+
+
+def next_picture(socket: ClientConnection, timeout_s: float = 60.0) -> bytes:
+    """Receive a JPEG of the first camera and ask for the next one."""
+    message = socket.recv(timeout_s)
+    assert isinstance(message, bytes)
+    socket.send(str(message[0]))
+    return message[1:]
+
+
 class PageClient:
     """A page that is open from the beginning until `close`; fields are read from any thread."""
 
     def __init__(self, url: str, **headers: str) -> None:
-        self.pictures = 0
-        """Pictures of cameras that came after the blank ones."""
-        self._url = url
+        self.url = url
         self._elements: dict[str, dict[str, Any]] = {}
         self._socket = connect(
             url.replace("http", "ws", 1),
@@ -97,11 +123,18 @@ class PageClient:
             (word for word, text in EXPLANATIONS.items() if found and text == found.group(1)), ""
         )
 
+    @property
+    def key(self) -> str:
+        """Key of the page for its requests; empty while it has none."""
+        shown = "".join(str(props.get("content", "")) for _, props in self._snapshot())
+        found = re.search(r'id="rn-page-key"[^>]* data-key="([^"]+)"', shown)
+        return "" if found is None else unescape(found.group(1))
+
     def press_stop(self, robot: str = "") -> str:
         """Press the emergency stop above the page, of one robot or of all; returns the text shown
         then.
         """
-        return ask_stop(self._url, robot)
+        return ask_stop(self.url, robot)
 
     def choose(self, label: str, value: object) -> None:
         """Set the value of an element."""
@@ -141,4 +174,3 @@ class PageClient:
         elif message["type"] == "GuiUpdateMessage":
             props = self._elements.setdefault(uuid, {"type": ""})
             props.update(message["updates"])
-            self.pictures += props["type"] == "GuiImageMessage"

@@ -64,15 +64,22 @@ def _lines(*changes, module="perception"):
     return [(event.text, event.is_bad) for event in events.newest(9)]
 
 
-def test_a_change_of_health_is_a_line():
-    assert _lines((0.0, "starting", "ok")) == [("perception: ok (was starting)", False)]
+def test_a_fault_is_a_line_but_no_start_and_no_stop():
+    assert _lines((0.0, "ok", "failing")) == [("perception: failing (was ok)", True)]
+    steps = [(0.0, "stopped", "starting"), (1.0, "starting", "ok"), (2.0, "ok", "stopped")]
+    assert _lines(*steps) == []
+
+
+def _flicker(fault):
+    return [(0.1 * i, *(("ok", fault) if i % 2 == 0 else (fault, "ok"))) for i in range(40)]
 
 
 def test_changes_close_together_share_a_line():
-    flicker = [
-        (0.1 * i, *(("ok", "silent") if i % 2 == 0 else ("silent", "ok"))) for i in range(40)
-    ]
-    assert _lines(*flicker) == [("perception: ok (silent 20 times in 4 s)", False)]
+    assert _lines(*_flicker("failing")) == [("perception: ok (failing 20 times in 4 s)", False)]
+
+
+def test_short_silences_leave_no_line():
+    assert _lines(*_flicker("silent")) == []
 
 
 def test_a_shared_line_is_red_while_the_fault_lasts_and_names_each_fault():

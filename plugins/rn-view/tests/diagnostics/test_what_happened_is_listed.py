@@ -6,6 +6,7 @@ import html
 import json
 from types import SimpleNamespace
 
+import pytest
 from view_fakes import profile
 
 from rn_view.diagnostics.event_list import AuditReader, EventList, ToolCalls, add_record
@@ -13,25 +14,40 @@ from rn_view.sources.source import ModuleRow, PageState, note_text
 from rn_view.visualization.markup import event_rows, joints_table, modules_table, stop_text
 from roboneuron.errors import StateError
 from roboneuron.server.interception import EndedCall, IncomingCall
+from roboneuron.server.tool import Answer
 
 
-def calls(is_quiet=lambda tool: False, outcome="answered", error=None):
-    """Lines listed for one call that ends so."""
+def calls(is_quiet=lambda tool: False, outcome="answered", error=None, structured=None):
+    """Lines listed before and after the end of one call."""
     events = EventList()
     call = IncomingCall(
         name="start_robot", arguments={"driver": "simulated"}, context=SimpleNamespace(), found=None
     )
     listener = ToolCalls(events, is_quiet)
     listener.begun(call)
-    listener.ended(EndedCall(call=call, outcome=outcome, error=error, took_s=0.1))
-    return sorted(events.newest(9), key=lambda event: "..." not in event.text)
+    begun = events.newest(9)
+    answer = Answer(structured=structured or {})
+    ended = EndedCall(call=call, outcome=outcome, answer=answer, error=error, took_s=0.1)
+    listener.ended(ended)
+    return begun + events.newest(9)
 
 
-def test_a_call_is_listed_when_it_begins_and_ends():
+def test_a_call_is_one_line_while_it_runs_and_after_its_end():
     begun, done = calls()
     assert begun.text == 'start_robot(driver="simulated") ...'
     assert "done" in done.text
     assert not done.is_bad
+
+
+@pytest.mark.parametrize(
+    ("outcome", "is_bad"),
+    [("succeeded", False), ("unclear", False), ("failed", True), ("timed_out", True)],
+)
+def test_the_verdict_of_a_task_is_the_one_that_the_client_got(outcome, is_bad):
+    told = {"outcome": outcome, "reason": "the cube is 3 cm up"}
+    line = calls(structured=told)[1]
+    assert f"{outcome}: the cube is 3 cm up, 0.10 s" in line.text
+    assert line.is_bad == is_bad
 
 
 def test_a_refused_call_is_listed_with_its_reason():

@@ -75,7 +75,7 @@ def test_the_stop_is_large_and_on_top_at_every_width(
     page = sized(serve().url, size)
     button = page.get_by_role("button", name="EMERGENCY STOP")
     page.get_by_text("Instruction:").wait_for()
-    page.get_by_text("Software WebGL rendering").wait_for()  # a notice, which covers nothing of it
+    page.locator("#webgl-software-rendering").wait_for(state="attached")
     box = button.bounding_box()
     assert box["height"] >= 60
     assert box["width"] >= 0.5 * size[0]

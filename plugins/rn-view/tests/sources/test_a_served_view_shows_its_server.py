@@ -9,7 +9,7 @@ from typing import Any
 from urllib.request import urlopen
 
 import pytest
-from page_client import PageClient
+from page_client import PageClient, next_picture, opened_pictures
 from served_view import Call, attached_view, served_view
 from view_page import wait_until
 
@@ -30,7 +30,9 @@ def start_and_look(call: Call, page: PageClient) -> None:
         call(f"start_{kind}")
         wait_until(lambda kind=kind: page.health(kind) == "ok")  # type: ignore[misc]
         wait_until(lambda kind=kind: f"start_{kind}(): done" in page.text)  # type: ignore[misc]
-    wait_until(lambda: page.pictures > 2)
+    with opened_pictures(page) as socket:
+        for _ in range(3):
+            assert next_picture(socket)
 
 
 def test_the_page_shows_the_state_and_its_stop_reaches_the_modules(tmp_path: Path) -> None:

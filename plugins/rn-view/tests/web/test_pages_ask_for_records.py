@@ -12,6 +12,7 @@ from view_fakes import FakeSource
 
 from rn_standard.tasks.history import TaskHistory
 from rn_view.diagnostics.alarms import AlarmBook
+from rn_view.page.picture_stream import PictureStream
 from rn_view.sources.records import RobotRecords
 from rn_view.sources.source import PageState
 from rn_view.tasks.past_tasks import PastTasks
@@ -50,7 +51,12 @@ class Asked:
         self.pages = OpenPages()
         self.keys = {
             role: self.pages.add(
-                OpenPage(Holder(who=f"the {role}", role=role), self.source, self.source.snapshot)
+                OpenPage(
+                    Holder(who=f"the {role}", role=role),
+                    self.source,
+                    self.source.snapshot,
+                    PictureStream(()),
+                )
             )
             for role in ("viewer", "operator", "admin")
         }
@@ -149,6 +155,8 @@ def test_a_page_of_an_unreadable_history_says_so(asked: Asked, tmp_path: Path) -
 
 def test_a_state_names_the_limit_that_acts(asked: Asked) -> None:
     state = PageState(limit="j1 would move at 9.", limits=("velocity",))
-    key = asked.pages.add(OpenPage(Holder(who="x", role="viewer"), asked.source, lambda: state))
+    key = asked.pages.add(
+        OpenPage(Holder(who="x", role="viewer"), asked.source, lambda: state, PictureStream(()))
+    )
     asked.keys["x"] = key
     assert asked.ask("x", "state")[1]["limit"] == "j1 would move at 9."

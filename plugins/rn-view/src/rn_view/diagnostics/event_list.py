@@ -18,6 +18,7 @@ from roboneuron.feature import EndedCall, IncomingCall
 
 _KEPT = 300
 _MOST_TEXT = 300
+_BAD_OUTCOMES = ("failed", "timed_out")
 _FIRST_BYTES = 16_384
 """Bytes read from the end of an audit file at first."""
 
@@ -88,6 +89,13 @@ class EventList:
             self.count += 1
         return event
 
+    def remove(self, event: ShownEvent) -> None:
+        """Remove an event, if it is still listed."""
+        with self._lock:
+            if event in self._kept:
+                self._kept.remove(event)
+                self.count += 1
+
     def newest(self, most: int) -> list[ShownEvent]:
         """The newest events, newest first."""
         with self._lock:
@@ -95,7 +103,7 @@ class EventList:
 
 
 class ToolCalls:
-    """Adds an event when a tool call begins and when it has ended.
+    """Adds an event when a tool call begins, and replaces it when the call has ended.
 
     Args:
         events: receives the events.
@@ -108,22 +116,34 @@ class ToolCalls:
     ) -> None:
         self._events = events
         self._is_quiet = is_quiet
+        self._begun: dict[int, ShownEvent] = {}
 
     def begun(self, call: IncomingCall) -> None:
         """Listener of `Events.call_begun`."""
         if not self._is_quiet(call.name):
-            self._events.add("tool", f"{_shown_call(call)} ...")
+            self._begun[id(call)] = self._events.add("tool", f"{_shown_call(call)} ...")
 
     def ended(self, ended: EndedCall) -> None:
-        """Listener of `Events.call_ended`."""
-        call = _shown_call(ended.call)
+        """Listener of `Events.call_ended`. Of a call with a verdict, such as `run_task`, it is
+        listed as the client has got it.
+        """
+        begun = self._begun.pop(id(ended.call), None)
+        structured = {} if ended.answer is None else ended.answer.structured
+        outcome, reason = str(structured.get("outcome", "")), str(structured.get("reason", ""))
+        is_bad = ended.error is not None or ended.outcome == "cancelled"
         if ended.outcome == "cancelled":
-            self._events.add("tool", f"{call}: cancelled", is_bad=True)
-            return
-        is_bad = ended.error is not None
+            said = "cancelled"
+        elif ended.error is not None:
+            said = str(ended.error)
+        else:
+            said = f"{outcome}: {reason}".rstrip(": ") if outcome else "done"
         if is_bad or not self._is_quiet(ended.call.name):
-            said = str(ended.error) if is_bad else "done"
-            self._events.add("tool", f"{call}: {said}, {ended.took_s:.2f} s", is_bad=is_bad)
+            self._events.add(
+                "tool",
+                f"{_shown_call(ended.call)}: {said}, {ended.took_s:.2f} s",
+                is_bad=is_bad or outcome in _BAD_OUTCOMES,
+                instead_of=begun,
+            )
 
 
 def _shown_call(call: IncomingCall) -> str:

@@ -72,6 +72,10 @@ class _Trouble:
     last_s: float
     counts: Counter[str] = field(default_factory=Counter)
 
+    def is_short(self) -> bool:
+        """Whether it has been over within `SHORT_S`."""
+        return self.last_s - self.first_s < SHORT_S
+
     def summary(self) -> str:
         """Number of faults and the time that they span."""
         counts = ", ".join(f"{fault} {_times(count)}" for fault, count in self.counts.items())
@@ -83,8 +87,10 @@ def _times(count: int) -> str:
 
 
 class HealthLines:
-    """Adds health changes to the list of events. Changes within `JOINED_S` of each other share one
-    line with their counts. Usable from any thread.
+    """Adds faults of modules and their ends to the list of events. Changes within `JOINED_S` of
+    each other share one line with their counts. A silence shorter than `SHORT_S` leaves none, nor
+    does a module that starts or stops, because the call that did it has one. Usable from any
+    thread.
 
     Args:
         events: receives the lines.
@@ -103,6 +109,8 @@ class HealthLines:
             trouble = self._troubles.get(module)
             at_s = self._events.now_s()
             if trouble is None or not 0.0 <= at_s - trouble.last_s <= JOINED_S:
+                if not is_bad and before not in FAULTS:
+                    return
                 line = self._events.add(
                     "health", f"{text} (was {before})", is_bad=is_bad, at_s=at_s
                 )
@@ -111,6 +119,10 @@ class HealthLines:
                     self._troubles[module] = _Trouble(line, at_s, at_s, counts)
                 return
             trouble.last_s = at_s
+            if health == "ok" and set(trouble.counts) == {"silent"} and trouble.is_short():
+                self._events.remove(trouble.line)
+                del self._troubles[module]
+                return
             if is_bad:
                 trouble.counts[health] += 1
             trouble.line = self._events.add(

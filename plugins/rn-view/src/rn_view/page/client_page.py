@@ -12,13 +12,15 @@ import viser
 from numpy.typing import NDArray
 
 from rn_view.diagnostics.active_limits import limit_place
-from rn_view.page import status_strip
+from rn_view.page.picture_stream import PictureStream
+from rn_view.page.robot_area import SHOWN, key_html
 from rn_view.recordings.playback_controls import PlaybackControls
 from rn_view.sources.measured_topics import MeasuredTopics
 from rn_view.sources.operator_calls import Operator
 from rn_view.sources.source import PageState, Source
+from rn_view.teleoperation import stick_panel
 from rn_view.teleoperation.sample_socket import LeadSockets, PageTeleoperator
-from rn_view.teleoperation.stick_panel import FULL_SHARE, key_html
+from rn_view.teleoperation.stick_panel import FULL_SHARE
 from rn_view.visualization import markup
 from rn_view.visualization.plots import History, Plots
 from rn_view.visualization.scene import PageScene
@@ -26,15 +28,10 @@ from rn_view.web.page_requests import OpenPage, OpenPages
 from roboneuron import RobotProfile
 from roboneuron.feature import Holder, Role
 
-_LEFT_PX = 310
 _PHONE_PX, _WIDE_PX = 576, 1100
-"""Between these widths cameras, plots and joints are in the panel on the right, because two panels
-would hide the robot.
-"""
+"""Up to the first width viser's panel is folded at first; below the second the scene is narrow."""
 _LINES = 40
 _MODULES = ("robot", "perception", "control", "inference")
-_JPEG_QUALITY = 80
-_BLANK_PX = 320
 _NOTICE_S = 8.0
 _TRIES = 5
 """Number of wrong tokens a page may give before it must be reloaded."""
@@ -78,6 +75,7 @@ class Page:
         self._content: _Content | None = None
         self._tries = _TRIES
         self._is_gone = False
+        self._pictures: PictureStream | None = None
         self._presence = ExitStack()
         self._stop_text: viser.GuiHtmlHandle | None = None
         self._full_text: viser.GuiHtmlHandle | None = None
@@ -110,6 +108,7 @@ class Page:
     def ask_token(self, on_admitted: Callable[[], None]) -> None:
         """Show a form for the token."""
         with self.client.gui.add_form(None) as form:
+            self.client.gui.add_html(f"<div {SHOWN}></div>")
             token = self.client.gui.add_text("Token", "", hint="as in [[http.tokens]]")
             send = self.client.gui.add_button("Show the robot")
         send.on_click(lambda _: form.submit())
@@ -137,11 +136,7 @@ class Page:
     ) -> None:
         """Build the rest of the page for its holder."""
         assert self.holder is not None
-        if self._source.playback is None:
-            key = self._open_pages.add(OpenPage(self.holder, self._source, state))
-            self._presence.callback(self._open_pages.remove, key)
-            place = self.client.gui.add_html(status_strip.key_html(key))
-            self._presence.callback(self._forget, place)
+        self._pictures = pictures = PictureStream(profile.cameras)
         if self._operator is not None:
             self._presence.enter_context(self._operator.present(self.holder))
         buttons = (
@@ -154,13 +149,19 @@ class Page:
             self._content = _Content(
                 self.client, self._source, profile, history, buttons, self.width_px
             )
+        key = self._open_pages.add(OpenPage(self.holder, self._source, state, pictures))
+        self._presence.callback(self._open_pages.remove, key)
+        self._presence.callback(self._forget, self.client.gui.add_html(key_html(key)))
+        self._fold(False)
         if buttons is not None:
             self._let_lead(profile)
 
     def say_full(self, most: int) -> None:
         """Show that too many pages are open, so that this one has only the emergency stop."""
         if self._full_text is None:
-            self._full_text = self.client.gui.add_html(markup.full_text(most))
+            self._full_text = self.client.gui.add_html(
+                f"<div {SHOWN}>{markup.full_text(most)}</div>"
+            )
 
     def change(self) -> None:
         """Remove the contents of the previous robot; call `show` for the chosen one."""
@@ -194,13 +195,16 @@ class Page:
                     self._content.scene.update(measured)
 
     def show_picture(
-        self, source: Source, camera: str, pixels: NDArray[np.uint8], *, in_scene: bool
+        self, source: Source, camera: str, jpeg: bytes, in_scene: NDArray[np.uint8] | None
     ) -> None:
-        """Like `update_state`, for a camera image."""
+        """Like `update_state`, for a camera image; `in_scene` are pixels for the 3-D scene."""
         with self._lock:
-            if self._content is not None and not self._is_gone and source is self._source:
-                self._content.show_picture(camera, pixels, in_scene=in_scene)
-                self.client.flush()
+            if self._content is None or self._is_gone or source is not self._source:
+                return
+            assert self._pictures is not None
+            self._pictures.put(camera, jpeg)
+            if in_scene is not None:
+                self._content.scene.show_picture(camera, in_scene)
 
     def tell(self, title: str, text: str, *, is_bad: bool) -> None:
         """Show a notification for a few seconds."""
@@ -227,11 +231,19 @@ class Page:
         labels = operator.has("label_recording")
         if not speeds and not labels:
             return
-        key = self._lead_sockets.add(name, source, self._start_call, self._fetch)
+        key = self._lead_sockets.add(name, source, self._start_call, self._fetch, self._fold)
         self._presence.callback(self._lead_sockets.remove, key)
-        html = key_html(key, speeds, labels=labels)
+        html = stick_panel.key_html(key, speeds, labels=labels)
         place = self.client.gui.add_html(html)
         self._presence.callback(self._forget, place)
+
+    def _fold(self, is_folded: bool) -> None:
+        """Fold the panel beside the scene; on a phone it is folded unless a person unfolds it."""
+        panel = self.client.gui.main_panel
+        if is_folded or self.width_px <= _PHONE_PX:
+            panel.minimize()
+        else:
+            panel.expand()
 
     def _forget(self, place: viser.GuiHtmlHandle) -> None:
         if not self._is_gone:
@@ -286,38 +298,16 @@ class _Content:
         self._client = client
         self._instruction = gui.add_html("")
         buttons = () if call is None else (self._add_buttons(call),)
-        self._modules = gui.add_html("")
-        is_narrow = _PHONE_PX < width_px < _WIDE_PX
-        tabs = gui.add_tab_group() if is_narrow else gui.add_panel()
-        folder = gui.add_folder("What happened")
-        with folder:
+        tabs = gui.add_tab_group()
+        self._parts = (self._instruction, *buttons, tabs)
+        with tabs.add_tab("Events"):
             self._list = gui.add_html("")
-        self._parts = (self._instruction, *buttons, self._modules, folder, tabs)
-        with tabs.add_tab("Cameras"):
-            self._images = {
-                camera.name: gui.add_image(
-                    np.full(
-                        (_BLANK_PX * camera.height // camera.width, _BLANK_PX, 3),
-                        40,
-                        dtype=np.uint8,
-                    ),
-                    label=camera.name
-                    if camera.name == camera.role
-                    else f"{camera.name} ({camera.role})",
-                    format="jpeg",
-                    jpeg_quality=_JPEG_QUALITY,
-                )
-                for camera in profile.cameras
-            }
-            if not profile.cameras:
-                gui.add_markdown("This robot has no camera.")
+        with tabs.add_tab("Health"):
+            self._modules = gui.add_html("")
         self._plots = Plots(gui, tabs.add_tab("Plots"))
         with tabs.add_tab("Joints"):
             self._joints = gui.add_html("")
-        if not isinstance(tabs, viser.GuiTabGroupHandle):
-            tabs.dock_left()
-            tabs.set_width(_LEFT_PX)
-        self.scene = PageScene(client, profile, source.config(), is_phone=width_px <= _PHONE_PX)
+        self.scene = PageScene(client, profile, source.config(), is_narrow=width_px < _WIDE_PX)
         self._count = -1
 
     def remove(self) -> None:
@@ -344,11 +334,6 @@ class _Content:
             self._list.content = markup.event_rows(self._source.shown_events.newest(_LINES))
             self._count = count
         self._plots.update(list(measured.actions), self._history, self._source.now_s())
-
-    def show_picture(self, camera: str, pixels: NDArray[np.uint8], *, in_scene: bool) -> None:
-        self._images[camera].image = pixels
-        if in_scene:
-            self.scene.show_picture(camera, pixels)
 
     def _add_buttons(self, call: Callable[[str, dict[str, object]], None]) -> object:
         gui = self._gui

@@ -8,12 +8,10 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 
-import numpy as np
-from numpy.typing import NDArray
-
 from rn_view.diagnostics.active_limits import ActiveLimits
 from rn_view.diagnostics.module_health import SteadyHealth
 from rn_view.page.client_page import Page
+from rn_view.page.picture_stream import jpeg
 from rn_view.sources.measured_topics import MeasuredTopics
 from rn_view.sources.source import PageState, Source
 from rn_view.visualization.plots import History
@@ -22,7 +20,7 @@ from roboneuron.feature import Periodic
 
 log = logging.getLogger(__name__)
 _MOTION_S, _STATE_S, _SCENE_PICTURE_S, _IDLE_S = 1 / 25, 0.25, 0.5, 0.5
-_LEAST_WIDTH_PX, _MOST_WIDTH_PX = 320, 640
+_MOST_WIDTH_PX, _JPEG_QUALITY = 640, 80
 
 
 class RobotPages:
@@ -191,20 +189,10 @@ class RobotPages:
         before_s = self._shown[camera][2] if camera in self._shown else 0.0
         in_scene = now_s - before_s >= _SCENE_PICTURE_S
         self._shown[camera] = (number, now_s, now_s if in_scene else before_s)
-        fitting = fitted(pixels)
+        encoded = jpeg(pixels, _MOST_WIDTH_PX, _JPEG_QUALITY)
         for page in self._all_pages():
-            page.show_picture(self.source, camera, fitting, in_scene=in_scene)
+            page.show_picture(self.source, camera, encoded, pixels if in_scene else None)
 
     def _all_pages(self) -> list[Page]:
         with self._lock:
             return list(self._pages)
-
-
-def fitted(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Scale an image to a width that fits the panel, by repeating or omitting whole pixels."""
-    width = pixels.shape[1]
-    if width > _MOST_WIDTH_PX:
-        step = -(-width // _MOST_WIDTH_PX)
-        return np.ascontiguousarray(pixels[::step, ::step])
-    times = -(-_LEAST_WIDTH_PX // width)
-    return pixels if times == 1 else pixels.repeat(times, axis=0).repeat(times, axis=1)

@@ -21,7 +21,7 @@ HEADER = "X-RoboNeuron"
 HEADER_VALUE = "stop"
 KEY = "F9"
 TITLE = "RoboNeuron"
-_HEAD, _BODY = "<title>Viser</title>", '<div id="root"></div>'
+_HEAD, ROOT = "<title>Viser</title>", '<div id="root"></div>'
 """Parts of viser's page that are replaced."""
 
 DARK_COOKIE, WIDTH_COOKIE = "roboneuron_dark", "roboneuron_width"
@@ -52,7 +52,7 @@ def base_page() -> str:
     page = (Path(viser.__file__).parent / "client" / "build" / "index.html").read_text(
         encoding="utf-8"
     )
-    if page.count(_HEAD) != 1 or page.count(_BODY) != 1:
+    if page.count(_HEAD) != 1 or page.count(ROOT) != 1:
         raise PluginError(
             f"The page of viser {viser.__version__} differs from the expected one.",
             hint="Install viser 1.1.",
@@ -99,7 +99,7 @@ def page_with_bar(base: str, robots: Sequence[str], release: Mapping[str, str]) 
     }
     style, script = style_element("stop_bar.css"), script_element("stop_bar.js", config)
     head = f"<title>{escape(title)}</title>{style}<script>{_DISPLAY_COOKIES}</script>"
-    return base.replace(_HEAD, head).replace(_BODY, f"{bar}{_BODY}{script}")
+    return base.replace(_HEAD, head).replace(ROOT, f"{bar}{ROOT}{script}")
 
 
 def page_without_stop(base: str, title: str) -> str:

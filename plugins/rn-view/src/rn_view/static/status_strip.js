@@ -185,8 +185,8 @@
     known = new Set(alarms.map(alarm => alarm.number));
   };
   const look = async () => {
-    const place = el(CONFIG.id), found = place ? place.dataset.key : "";
-    if (found !== key) { key = found; known = null; if (!found) open(""); }
+    const found = rnPage.page ? rnPage.page.key : "";
+    if (found !== key) { key = found; known = null; delete document.documentElement.dataset.robot; if (!found) open(""); }
     document.documentElement.classList.toggle("rn-strip", !!key);
     if (!key) return;
     try {
@@ -197,10 +197,12 @@
       return;
     }
     strip(); glance();
+    const robot = state.modules.find(one => one.kind === "robot");
+    document.documentElement.dataset.robot = robot ? robot.health : "";
     if (shown === "alarms" || shown === "service") draw();
     if (shown === "tasks" && !body.firstChild) { say(""); loadTasks(); }  // the first request failed
   };
-  new MutationObserver(() => { const place = el(CONFIG.id); if ((place ? place.dataset.key : "") !== key) look(); })
+  new MutationObserver(() => { if ((rnPage.page ? rnPage.page.key : "") !== key) look(); })
     .observe(document.getElementById("root"), {childList: true, subtree: true});
   (async () => { for (;;) { await look(); await wait(document.hidden ? 5000 : 1000); } })();
 })();

@@ -19,18 +19,18 @@
   };
   const send = value => { if (socket && socket.readyState === 1) socket.send(JSON.stringify(value)); };
   const connect = () => {
-    const place = el(CONFIG.key), found = place ? place.dataset.key : "";
+    const place = rnPage.lead, found = place ? place.key : "";
     lead.classList.toggle("there", !!found || leads);
-    el("rn-label-open").hidden = !found || place.dataset.labels !== "1";
-    el("rn-lead-open").hidden = !!found && place.dataset.joints === "{}";
+    el("rn-label-open").hidden = !found || place.labels !== "1";
+    el("rn-lead-open").hidden = !!found && place.joints === "{}";
     if (!found || (found === key && socket && socket.readyState < 2)) return;
     if (socket) socket.close();
     key = found;
-    const limits = JSON.parse(place.dataset.joints);
+    const limits = JSON.parse(place.joints);
     joints = limits;
     el("rn-lead-joint").replaceChildren(...Object.keys(limits).map(name => new Option(name, name)));
     const own = socket = new WebSocket(location.origin.replace("http", "ws") + CONFIG.path + "?key=" + encodeURIComponent(key), [CONFIG.protocol]);
-    own.onopen = show;
+    own.onopen = () => { show(); if (lead.classList.contains("open")) send({fold: true}); };
     own.onmessage = event => { if (own === socket) hear(JSON.parse(event.data)); };
     own.onclose = () => {
       if (own !== socket) return;
@@ -69,8 +69,15 @@
     say("Requesting the arm ...");
     send({begin: {mode, scale: el("rn-lead-scale").value / 100}});
   };
-  el("rn-lead-open").onclick = () => { lead.classList.add("open"); show(); el("rn-lead-go").focus(); };
-  el("rn-lead-close").onclick = () => { if (leads) send({back: 1}); lead.classList.remove("open"); el("rn-lead-open").focus(); };
+  const open = isOpen => {
+    lead.classList.toggle("open", isOpen);
+    document.documentElement.classList.toggle("rn-leading", isOpen);
+    send({fold: isOpen});
+    show();
+    el(isOpen ? "rn-lead-go" : "rn-lead-open").focus();
+  };
+  el("rn-lead-open").onclick = () => open(true);
+  el("rn-lead-close").onclick = () => { if (leads) send({back: 1}); open(false); };
   el("rn-lead-go").onclick = () => begin("person");
   el("rn-lead-blend").onclick = () => begin("blend");
   el("rn-lead-operate").onclick = () => send({operate: 1});

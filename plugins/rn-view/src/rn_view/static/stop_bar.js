@@ -8,10 +8,15 @@
     if (!answer.ok) throw new Error(told.text || answer.statusText);
     return told;
   };
-  const show = (word, text) => {
+  const show = (word, text, command = "") => {
     bar.className = word;
-    if (state.textContent !== text) state.textContent = text;
-    document.documentElement.style.setProperty("--rn-bar", bar.offsetHeight + "px");
+    document.body.dataset.stopping = pressing;
+    if (state.textContent === text + command) return;
+    state.textContent = text;
+    if (!command) return;
+    const code = document.createElement("code");
+    code.textContent = command;
+    state.append(code);
   };
   const press = async robot => {
     pressing = "Stopping " + (robot || (robots.length > 1 ? "all robots" : robots[0] || "the robot")) + " ...";
@@ -38,8 +43,8 @@
       const names = Object.keys(latched), held = names.filter(name => latched[name]);
       const which = names.length > 1 ? ": " + held.join(", ") : "";
       if (!held.length) show("", CONFIG.ready);
-      else show("latched", "STOPPED" + which + ". A person releases it in a terminal on " + CONFIG.machine + ": "
-        + held.map(name => CONFIG.release[name]).join("; "));
+      else show("latched", "STOPPED" + which + ". A person releases it in a terminal on " + CONFIG.machine + ":",
+        held.map(name => CONFIG.release[name]).join("\n"));
     } catch (error) {
       if (++failures > 2 && !pressing)
         show("lost", "No connection to the server (" + error.message + "). Use the robot's own stop.");

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import io
 import logging
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Protocol
 
-import numpy as np
-
+from rn_view.page import picture_stream
 from rn_view.tasks.past_tasks import PastTasks
 from roboneuron import RoboNeuronError, image_from_message
 from roboneuron.feature import Answer, IncomingCall, Proceed
@@ -118,10 +116,4 @@ class TaskPictures:
 
 def jpeg(message: Image) -> bytes:
     """Encode an image message as JPEG, at most 320 px wide."""
-    from PIL import Image as Pillow  # heavy
-
-    picture = Pillow.fromarray(np.ascontiguousarray(image_from_message(message)))
-    picture.thumbnail((_WIDTH_PX, _WIDTH_PX * 4))
-    out = io.BytesIO()
-    picture.save(out, "JPEG", quality=_QUALITY)
-    return out.getvalue()
+    return picture_stream.jpeg(image_from_message(message), _WIDTH_PX, _QUALITY)

@@ -20,7 +20,7 @@ from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import ConnectionClosed
 
 from rn_standard.teleoperation.samples import LeadFeedback, LeadSample, Subscribe
-from rn_view.teleoperation.stick_panel import RATE_HZ, SOCKET_PATH
+from rn_view.teleoperation.stick_panel import RATE_HZ
 from roboneuron import (
     ForeignDataError,
     InvalidInputError,
@@ -184,7 +184,14 @@ class LeadSockets:
         self._lock = threading.Lock()
         self._sockets: dict[str, _LeadSocket] = {}
 
-    def add(self, name: str, source: PageTeleoperator, call: Call, fetch: Fetch) -> str:
+    def add(
+        self,
+        name: str,
+        source: PageTeleoperator,
+        call: Call,
+        fetch: Fetch,
+        fold: Callable[[bool], object],
+    ) -> str:
         """Permit a page to lead; returns its key.
 
         Args:
@@ -192,10 +199,11 @@ class LeadSockets:
             source: receives its samples.
             call: calls a tool for it.
             fetch: calls a tool that only reads for it.
+            fold: folds the panels beside the scene, while a person leads.
         """
         key = secrets.token_urlsafe(24)
         with self._lock:
-            self._sockets[key] = _LeadSocket(name, source, call, fetch)
+            self._sockets[key] = _LeadSocket(name, source, call, fetch, fold)
         return key
 
     def remove(self, key: str) -> None:
@@ -204,11 +212,6 @@ class LeadSockets:
             socket = self._sockets.pop(key, None)
         if socket is not None:
             socket.source.lost("The page was closed")
-
-    def is_asked(self, connection: ServerConnection) -> bool:
-        """Whether this websocket is for samples of a page, not one of viser."""
-        request = connection.request
-        return request is not None and urlsplit(request.path).path == SOCKET_PATH
 
     async def serve(self, connection: ServerConnection) -> None:
         """Serve one websocket until it closes; runs on viser's event loop."""
@@ -225,10 +228,17 @@ class LeadSockets:
 class _LeadSocket:
     """Websocket of one page that may lead."""
 
-    def __init__(self, name: str, source: PageTeleoperator, call: Call, fetch: Fetch) -> None:
+    def __init__(
+        self,
+        name: str,
+        source: PageTeleoperator,
+        call: Call,
+        fetch: Fetch,
+        fold: Callable[[bool], object],
+    ) -> None:
         self.source = source
         self.is_taken = False
-        self._name, self._call, self._fetch = name, call, fetch
+        self._name, self._call, self._fetch, self._fold = name, call, fetch, fold
         self._loop: asyncio.AbstractEventLoop | None = None
         self._out: asyncio.Queue[dict[str, object]] = asyncio.Queue()
         self._echo: dict[str, object] | None = None
@@ -270,6 +280,8 @@ class _LeadSocket:
                 self._ask("hand_back", {})
             elif "operate" in told:
                 self._ask("take_over", {})
+            elif "fold" in told:
+                self._fold(told["fold"] is True)
             elif "recordings" in told:
                 self._list()
             elif "label" in told:

@@ -18,7 +18,7 @@ PROTOCOL = "viser-v1"
 RATE_HZ = 50
 FULL_M_S, FULL_RAD_S, FULL_SHARE = 0.25, 0.8, 0.25
 """Speed at full deflection of a stick [m/s, rad/s], and of a joint as a share of its limit."""
-_KEY_ID = "rn-lead-key"
+LEAD_KEY_ID = "rn-lead-key"
 
 
 def key_html(key: str, joints: dict[str, float], *, labels: bool) -> str:
@@ -32,7 +32,7 @@ def key_html(key: str, joints: dict[str, float], *, labels: bool) -> str:
     """
     told = escape(json.dumps(joints), quote=True)
     return (
-        f'<div id="{_KEY_ID}" data-key="{escape(key, quote=True)}" data-joints="{told}" '
+        f'<div id="{LEAD_KEY_ID}" data-key="{escape(key, quote=True)}" data-joints="{told}" '
         f'data-labels="{int(labels)}"></div>'
     )
 
@@ -40,7 +40,6 @@ def key_html(key: str, joints: dict[str, float], *, labels: bool) -> str:
 def with_stick_panel(page: str) -> str:
     """Add both panels to a page. They are hidden until the page may lead or label."""
     config = {
-        "key": _KEY_ID,
         "path": SOCKET_PATH,
         "protocol": PROTOCOL,
         "rate": RATE_HZ,

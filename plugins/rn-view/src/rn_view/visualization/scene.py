@@ -40,8 +40,6 @@ _FRUSTUM_M = 0.12
 _TARGET_M = 0.018
 _BESIDE_TCP_M = np.array([0.0, 0.0, 0.12])
 """Position of an arm's name, from its TCP in the base frame."""
-_BELOW_M = 1.0
-"""On a phone the camera looks this far below the workspace, so that the panel does not hide it."""
 
 
 class ArmScene:
@@ -130,7 +128,7 @@ class PageScene:
     """The 3-D scene of one page. Used by one thread at a time."""
 
     def __init__(
-        self, client: viser.ClientHandle, profile: RobotProfile, config: Config, *, is_phone: bool
+        self, client: viser.ClientHandle, profile: RobotProfile, config: Config, *, is_narrow: bool
     ) -> None:
         from viser.extras import ViserUrdf  # heavy
 
@@ -167,7 +165,7 @@ class PageScene:
         }
         limits = motion_rules(config.limits, profile)
         self._add_limits(limits, config)
-        self._look_from(client, limits, is_phone=is_phone)
+        self._look_from(client, limits, is_narrow=is_narrow)
 
     def update(self, measured: MeasuredTopics) -> None:
         """Show the newest measurements."""
@@ -334,7 +332,7 @@ class PageScene:
         self._boxes[box.name] = handle, rgb, opacity
 
     def _look_from(
-        self, client: viser.ClientHandle, limits: MotionRules, *, is_phone: bool
+        self, client: viser.ClientHandle, limits: MotionRules, *, is_narrow: bool
     ) -> None:
         box = np.stack([limits.lower_m, limits.upper_m])
         centre = (
@@ -343,9 +341,9 @@ class PageScene:
             else np.array([0.3, 0.0, 0.3])
         )
         client.camera.position = centre + np.array([0.95, -1.15, 0.65]) * (
-            1.25 if is_phone else 0.85
+            1.25 if is_narrow else 0.85
         )
-        client.camera.look_at = centre - np.array([0.0, 0.0, _BELOW_M * is_phone])
+        client.camera.look_at = centre
 
 
 def _add_lines(

@@ -15,6 +15,9 @@ from http import HTTPStatus
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
+from websockets.asyncio.server import ServerConnection
+
+from rn_view.page.picture_stream import PictureStream
 from rn_view.sources.source import PageState, Source
 from rn_view.tasks.success_rates import success_rates
 from roboneuron import InvalidInputError, NotReadyError, RefusedError, RoboNeuronError
@@ -24,8 +27,12 @@ PATH = "/page/"
 """GET `state`, `acknowledge?alarm=`, `maintenance?begin=WHY`, `maintenance?end=1`, `tasks`,
 `picture?task=&end=`.
 """
+PICTURES_PATH = "/page/pictures"
+"""Path of the websocket for camera pictures; `?key=` of the page."""
 KEY_HEADER = "X-RoboNeuron-Page"
 """Pages of other origins need a permission to send it, and links and images cannot send it."""
+UNKNOWN_KEY = 4401
+"""Close code of a websocket whose key is not valid."""
 _MOST_TEXT = 300
 Body = tuple[HTTPStatus, bytes, str]
 """Status, body and content type of an answer."""
@@ -33,11 +40,12 @@ Body = tuple[HTTPStatus, bytes, str]
 
 @dataclass(frozen=True, slots=True)
 class OpenPage:
-    """An open page: its holder, its source, and the newest state that it shows."""
+    """An open page: its holder, its source, the newest state that it shows, and its pictures."""
 
     holder: Holder
     source: Source
     state: Callable[[], PageState]
+    pictures: PictureStream
 
 
 class OpenPages:
@@ -57,7 +65,19 @@ class OpenPages:
     def remove(self, key: str) -> None:
         """Remove a page that was closed or shows another robot."""
         with self._lock:
-            self._pages.pop(key, None)
+            page = self._pages.pop(key, None)
+        if page is not None:
+            page.pictures.close()
+
+    async def send_pictures(self, connection: ServerConnection) -> None:
+        """Serve a websocket for pictures until it closes."""
+        asked = urlsplit("" if connection.request is None else connection.request.path)
+        with self._lock:
+            page = self._pages.get(parse_qs(asked.query).get("key", [""])[0])
+        if page is None:
+            await connection.close(UNKNOWN_KEY, "The key of this page is not valid.")
+        else:
+            await page.pictures.serve(connection)
 
     async def answer(self, path: str, headers: Mapping[str, str]) -> Body:
         """Answer one request of a page."""

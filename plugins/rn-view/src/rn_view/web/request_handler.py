@@ -9,7 +9,7 @@ import gzip
 import json
 import logging
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Awaitable, Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from http import HTTPStatus
@@ -23,9 +23,9 @@ from websockets.http11 import Request, Response
 
 from rn_standard.http.listener import BACKLOG, BoundedListener
 from rn_view.page import stop_bar
+from rn_view.page.robot_area import with_robot_area
 from rn_view.page.status_strip import with_status_strip
 from rn_view.sources.source import Source
-from rn_view.teleoperation.sample_socket import LeadSockets
 from rn_view.teleoperation.stick_panel import with_stick_panel
 from rn_view.web import page_requests
 from rn_view.web.access import ViewAccess
@@ -124,6 +124,7 @@ class RequestHandler:
                     {name: one.release_command for name, one in self._robots().items()},
                 )
             )
+            page = with_robot_area(page, is_live=not recorded)
             page = page if recorded else with_status_strip(with_stick_panel(page))
             self._page_bytes[names] = page.encode(), gzip.compress(page.encode())
         plain, packed = self._page_bytes[names]
@@ -153,10 +154,12 @@ class RequestHandler:
 
 @contextmanager
 def served_by(
-    listener: BoundedListener, web: RequestHandler, lead_sockets: LeadSockets
+    listener: BoundedListener,
+    web: RequestHandler,
+    sockets: Mapping[str, Callable[[ServerConnection], Awaitable[None]]],
 ) -> Iterator[None]:
     """Within the block, viser's websocket server listens on this socket. `web` gets each request
-    first and `lead_sockets` each websocket; viser handles the rest.
+    first; `sockets` serve websockets, by path; viser handles the rest.
 
     viser has no option to pass a socket, a time-out or a request handler on to websockets.
     """
@@ -171,11 +174,13 @@ def served_by(
             return viser_says
 
         async def handle(connection: ServerConnection) -> None:
-            if lead_sockets.is_asked(connection):
-                listener.prove(connection.remote_address[:2])
-                await lead_sockets.serve(connection)
-            else:
+            asked = "" if connection.request is None else connection.request.path
+            own = sockets.get(urlsplit(asked).path)
+            if own is None:
                 await handler(connection)
+            else:
+                listener.prove(connection.remote_address[:2])
+                await own(connection)
 
         limits = {
             "open_timeout": _OPEN_S,

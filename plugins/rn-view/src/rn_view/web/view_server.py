@@ -23,8 +23,9 @@ from rn_view.sources.measured_topics import MeasuredTopics
 from rn_view.sources.operator_calls import Operator
 from rn_view.sources.source import Source
 from rn_view.teleoperation.sample_socket import LeadSockets
+from rn_view.teleoperation.stick_panel import SOCKET_PATH
 from rn_view.web.access import ViewAccess
-from rn_view.web.page_requests import OpenPages
+from rn_view.web.page_requests import PICTURES_PATH, OpenPages
 from rn_view.web.request_handler import RequestHandler, served_by
 from rn_view.web.visitors import Visitors
 
@@ -116,7 +117,14 @@ class ViewServer:
         bound = bind("view", self._options.host, self._options.port, self._admission.tokens)
         self._listener = BoundedListener(bound, other_bounds(_CONNECTIONS), stop_bar.stop_holder)
         with (
-            served_by(self._listener, web, self._lead_sockets),
+            served_by(
+                self._listener,
+                web,
+                {
+                    SOCKET_PATH: self._lead_sockets.serve,
+                    PICTURES_PATH: self._open_pages.send_pictures,
+                },
+            ),
             contextlib.redirect_stdout(io.StringIO()),
         ):  # hide viser's banner: stdout may carry MCP
             self._server = _ViserServer(
