@@ -74,7 +74,7 @@ def test_the_stop_is_large_and_on_top_at_every_width(
 ) -> None:
     page = sized(serve().url, size)
     button = page.get_by_role("button", name="EMERGENCY STOP")
-    page.get_by_text("Instruction:").wait_for()
+    page.locator("#rn-lead-open").wait_for()
     page.locator("#webgl-software-rendering").wait_for(state="attached")
     box = button.bounding_box()
     assert box["height"] >= 60
@@ -118,7 +118,7 @@ def test_the_whole_command_that_releases_it_is_legible_and_names_the_machine(
 BELOW = """() => {
   const edge = (id, side) => document.getElementById(id).getBoundingClientRect()[side];
   return Math.abs(edge("rn-strip", "top") - edge("rn-bar", "bottom")) < 1
-    && Math.abs(edge("root", "top") - edge("rn-strip", "bottom")) < 1;
+    && Math.abs(edge("rn-main", "top") - edge("rn-strip", "bottom")) < 1;
 }"""
 """Whether strip and page begin where what is above them ends. Heights are fractions of pixels."""
 
@@ -128,7 +128,7 @@ def test_neither_bar_covers_what_is_below(
     serve: Callable[..., ViewServer], sized: Callable[..., Any], size: tuple[int, int]
 ) -> None:
     page = sized(serve().url, size)
-    page.get_by_text("Instruction:").wait_for()
+    page.locator("#rn-lead-open").wait_for()
     lead = page.get_by_role("button", name="Lead by hand")
     lead.wait_for()
     assert lead.evaluate(ON_TOP)

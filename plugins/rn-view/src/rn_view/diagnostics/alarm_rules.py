@@ -70,7 +70,7 @@ class AlarmRules:
     def on_fault(self, module: str, what: str, facts: Mapping[str, object]) -> None:
         """Listener of `Events.fault`: faults that are not the health of a module."""
         cause = str(facts.get("explanation", "")) or what
-        self._book.add(module, what, cause, "See the server's log and the list 'What happened'.")
+        self._book.add(module, what, cause, "See the server's log and the tab 'Events'.")
 
     def on_record(self, record: Mapping[str, Any]) -> None:
         """Handle an audit record, also one of another process. Each counts once, also across
