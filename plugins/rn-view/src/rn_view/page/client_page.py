@@ -238,7 +238,12 @@ class Page:
         self._presence.callback(self._forget, place)
 
     def _fold(self, is_folded: bool) -> None:
-        """Fold the panel beside the scene; on a phone it is folded unless a person unfolds it."""
+        """Fold the panel beside the scene; on a phone it is folded unless a person unfolds it. A
+        narrow page looks from nearer while it is folded, because the scene is low then.
+        """
+        content = self._content
+        if content is not None and self.width_px < _WIDE_PX:
+            content.scene.look(is_narrow=not is_folded)
         panel = self.client.gui.main_panel
         if is_folded or self.width_px <= _PHONE_PX:
             panel.minimize()

@@ -165,7 +165,20 @@ class PageScene:
         }
         limits = motion_rules(config.limits, profile)
         self._add_limits(limits, config)
-        self._look_from(client, limits, is_narrow=is_narrow)
+        self._box = np.stack([limits.lower_m, limits.upper_m])
+        self.look(is_narrow=is_narrow)
+
+    def look(self, *, is_narrow: bool) -> None:
+        """Look at the workspace; from farther away if the scene is higher than wide."""
+        box = self._box
+        centre = (
+            box.mean(axis=0) * np.array([0.8, 1.0, 0.9])
+            if np.isfinite(box).all()
+            else np.array([0.3, 0.0, 0.3])
+        )
+        away = np.array([0.95, -1.15, 0.65]) * (1.25 if is_narrow else 0.85)
+        self._client.camera.position = centre + away
+        self._client.camera.look_at = centre
 
     def update(self, measured: MeasuredTopics) -> None:
         """Show the newest measurements."""
@@ -330,20 +343,6 @@ class PageScene:
             cast_shadow=False,
         )
         self._boxes[box.name] = handle, rgb, opacity
-
-    def _look_from(
-        self, client: viser.ClientHandle, limits: MotionRules, *, is_narrow: bool
-    ) -> None:
-        box = np.stack([limits.lower_m, limits.upper_m])
-        centre = (
-            box.mean(axis=0) * np.array([0.8, 1.0, 0.9])
-            if np.isfinite(box).all()
-            else np.array([0.3, 0.0, 0.3])
-        )
-        client.camera.position = centre + np.array([0.95, -1.15, 0.65]) * (
-            1.25 if is_narrow else 0.85
-        )
-        client.camera.look_at = centre
 
 
 def _add_lines(
