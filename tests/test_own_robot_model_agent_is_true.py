@@ -33,7 +33,7 @@ DOCS = Path(__file__).parents[1] / "docs"
 FILE = re.compile(r"<!-- file: (\S+) -->\n```\w+\n(.*?)```", re.DOTALL)
 PAGE = (DOCS / "own-robot-model-agent.md").read_text(encoding="utf-8")
 FILES = dict(FILE.findall(PAGE))
-URDF = dict(FILE.findall((DOCS / "tutorials" / "your-own-arm.md").read_text(encoding="utf-8")))
+URDF = (DOCS.parent / "examples" / "myarm.urdf").read_text(encoding="utf-8")
 COMMANDS = [
     line.partition("#")[0].strip()
     for block in re.findall(r"```bash\n(.*?)```", PAGE, re.DOTALL)
@@ -52,7 +52,7 @@ def typed(start: str) -> list[str]:
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The reader's folder after step 2."""
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "myarm.urdf").write_text(URDF["myarm.urdf"], encoding="utf-8")
+    (tmp_path / "myarm.urdf").write_text(URDF, encoding="utf-8")
     (tmp_path / "roboneuron.toml").write_text(FILES["roboneuron.toml"], encoding="utf-8")
     return tmp_path
 

@@ -21,6 +21,7 @@ from roboneuron.plugins.discovery import discover
 PAGE = (Path(__file__).parents[1] / "docs" / "tutorials" / "your-own-arm.md").read_text(
     encoding="utf-8"
 )
+URDF = (Path(__file__).parents[1] / "examples" / "myarm.urdf").read_text(encoding="utf-8")
 LINES = PAGE.replace("\\\n", "")
 """The page with continued lines joined."""
 FILES = dict(re.findall(r"<!-- file: (\S+) -->\n```\w+\n(.*?)```", PAGE, flags=re.DOTALL))
@@ -36,7 +37,7 @@ EIGHT_LINES = re.findall(r"```toml\n(\[robot\].*?)```", CONTROL_PAGE, flags=re.D
 @pytest.fixture
 def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The package of the page, with metadata as pip would install them."""
-    (tmp_path / "myarm.urdf").write_text(FILES["myarm.urdf"], encoding="utf-8")
+    (tmp_path / "myarm.urdf").write_text(URDF, encoding="utf-8")
     monkeypatch.chdir(tmp_path)
     assert main(shlex.split(CREATE)) == 0
     project = tmp_path / "rn-robot-myarm"
@@ -63,7 +64,7 @@ def run(
 
 
 def test_the_page_has_its_files_and_the_command_writes_what_it_says(project: Path) -> None:
-    assert set(FILES) == {"myarm.urdf", "wall.toml"}
+    assert set(FILES) == {"wall.toml"}
     named = set(re.findall(r"^- `([^`]+)`", PAGE, flags=re.MULTILINE))
     assert named >= {"src/rn_robot_myarm/profile.py", "roboneuron.toml", "FIRST_MOTION.md"}
     assert all((project / name).exists() for name in named)
@@ -71,7 +72,7 @@ def test_the_page_has_its_files_and_the_command_writes_what_it_says(project: Pat
 
 def test_eight_lines_of_toml_are_an_arm_behind_ros2_control(tmp_path: Path) -> None:
     assert len(EIGHT_LINES.splitlines()) == 8
-    (tmp_path / "myarm.urdf").write_text(FILES["myarm.urdf"], encoding="utf-8")
+    (tmp_path / "myarm.urdf").write_text(URDF, encoding="utf-8")
     (tmp_path / "roboneuron.toml").write_text(EIGHT_LINES, encoding="utf-8")
     config = load_config(tmp_path / "roboneuron.toml")
     registry = discover(config.disabled_plugins, config.robot)
