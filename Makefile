@@ -193,6 +193,6 @@ $(VENV)/.develop: $(PROJECTS) | $(BIN)/python
 	$(call install,every plugin,--constraint constraints.txt $(addprefix --editable ,$(WITH_EXTRAS)))
 	-$(call install,types of ros2_control (compiled),--constraint constraints.txt $(addprefix --editable ,$(COMPILED)))
 	$(call install,tools for tests and checks,--constraint constraints.txt \
-	  pytest pytest-timeout pytest-xdist pytest-rerunfailures deptry hypothesis ruff mypy types-psutil jsonschema types-jsonschema psutil build hatchling editables auditwheel nox \
+	  pytest pytest-timeout pytest-xdist pytest-rerunfailures deptry hypothesis ruff mypy types-psutil jsonschema types-jsonschema psutil build hatchling editables auditwheel nox towncrier \
 	  ros-jazzy-test-msgs transformers mujoco franky-control 'pylibfranka; python_version < "3.13"' ruckig playwright rosbags)
 	@touch $@ $(VENV)/.nox $(VENV)/.demo $(VENV)/.demo-fr3 $(VENV)/.demo-learned $(VENV)/.demo-bases $(VENV)/.demo-fleet $(VENV)/.demo-nav $(VENV)/.demo-so101

@@ -173,17 +173,22 @@ def check(interpreter: str, folder: Path, before: Path | None, sbom: Path | None
     return f"{upgraded}{len(own)} wheels installed, serve, run and demo work, uninstalled"
 
 
+def absolute(text: str) -> Path:
+    """A path that steps in other folders can use."""
+    return Path(text).resolve()
+
+
 def main() -> None:
     """Check every interpreter named on the command line."""
     parser = argparse.ArgumentParser()
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--before", type=Path, default=None)
-    parser.add_argument("--sbom", type=Path, default=None)
+    parser.add_argument("folder", type=absolute)
+    parser.add_argument("--before", type=absolute, default=None)
+    parser.add_argument("--sbom", type=absolute, default=None)
     parser.add_argument("pythons", nargs="+")
     arguments = parser.parse_args()
     sbom = arguments.sbom
     for interpreter in arguments.pythons:
-        shown = check(interpreter, arguments.folder.resolve(), arguments.before, sbom)
+        shown = check(interpreter, arguments.folder, arguments.before, sbom)
         print(f"{interpreter}: {shown}", flush=True)
         sbom = None
 
