@@ -127,6 +127,7 @@ class HangWatch:
         self._bound_s = bound_s or _given_s()
         self._loading = 0
         self._late_s = 0.0
+        # guards the number of loading blocks, and that only one thread watches
         self._lock = threading.Lock()
         self._set: threading.Event | None = None
 

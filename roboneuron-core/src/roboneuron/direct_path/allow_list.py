@@ -61,6 +61,7 @@ class AllowList:
         self._config = config
         self._registry = registry
         self._paths = ArmPaths(config(), registry, limits)
+        # held over a whole change, which is taken back if one endpoint is refused
         self._lock = threading.RLock()
         self._by_owner: dict[str, tuple[ExposedEndpoint, ...]] = {}
         self._instead: frozenset[str] = frozenset()

@@ -23,6 +23,7 @@ class RateLimit:
         self._most = max(1, int(rate_hz * self._window_s + 1e-9)) if rate_hz else 0
         self._clock = clock
         self._sent: list[tuple[float, object]] = []
+        # asking and counting are one step: otherwise two callers could both get the last place
         self._lock = threading.Lock()
 
     def wait_s(self, at_s: Sequence[float] = (0.0,)) -> float:

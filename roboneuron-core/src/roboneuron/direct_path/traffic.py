@@ -42,6 +42,7 @@ class Traffic:
 
     def __init__(self, link: Callable[[], RosLink]) -> None:
         self.link = link
+        # held while a writer or client is created, so that a topic gets only one
         self._lock = threading.Lock()
         self._writers: dict[tuple[str, str], TopicWriter] = {}
         self._actions: dict[tuple[str, str], ActionClient] = {}

@@ -119,6 +119,7 @@ class TopicWriter:
         self._signature = ""
         if topic.endswith(_COMMANDS) and type_name in _COMMAND_TYPES:
             self._signature = server_node(os.getpid())
+        # one `connect` at a time: it may replace the publisher by one with another profile
         self._lock = threading.Lock()
         self._publisher: Publisher | None = None
         self._key: tuple[object, ...] = ()
@@ -269,6 +270,7 @@ class NewestMessage:
         self._link = link
         self._message_type = message_type
         self.topic = topic
+        # of several first callers only one subscribes
         self._lock = threading.Lock()
         self._arrived = threading.Event()
         self._newest: tuple[float, object] | None = None

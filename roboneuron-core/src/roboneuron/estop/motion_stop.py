@@ -75,6 +75,7 @@ def _stop(supervisor: Supervisor, slot: Slot, reason: str, set_parameters: SetPa
         failure = "it has not reported the stop"
     if failure and slot.kind == "inference":
         log.error("The policy is ended, because it did not stop: %s", failure)
+        # it has ended by itself, which is as good
         with suppress(StateError):
             supervisor.end(slot)
         return ""

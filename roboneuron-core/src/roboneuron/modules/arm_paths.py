@@ -46,6 +46,7 @@ class ArmPaths:
         self._registry = registry
         self._limits_now = limits or (lambda: config.limits)
         self._made: dict[_Key, PathLimiter] = {}
+        # held while a checker is made: a second caller waits for it instead of loading another one
         self._lock = threading.Lock()
 
     def forget(self) -> None:

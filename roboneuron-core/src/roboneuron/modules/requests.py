@@ -86,6 +86,7 @@ class Announcements:
         catch_up: see `catch_up` above.
         """
         self.catch_up = catch_up
+        # `feed` and `take` come on different threads; not reentrant, so `take` catches up first
         self._lock = threading.Lock()
         self._digests: deque[bytes] = deque(maxlen=_MOST)
         self._rest = b""

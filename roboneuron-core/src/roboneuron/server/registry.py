@@ -74,6 +74,7 @@ class ToolRegistry:
             acts_on=acts_on,
         )
         self._on_change = on_change
+        # for writers only: readers take the mapping, which is replaced as a whole and never changed
         self._lock = threading.Lock()
         self._owned: dict[str, dict[str, _ListedTool]] = {_FIXED: {}}
         self.add_all(tools)

@@ -191,6 +191,7 @@ class CellViews:
         kept_s: time that subscriptions stay after a view [s].
         """
         self._kept_s = kept_s
+        # held while subscriptions are made or removed, never while a picture is awaited
         self._lock = threading.Lock()
         self._watch: _CellWatch | None = None
         self._is_outdated = False

@@ -115,6 +115,8 @@ class _Expiry:
 
     def __init__(self, connection: http.client.HTTPConnection) -> None:
         self._connection = connection
+        # `watch` and `end` come on different threads. Either `end` finds the socket, or `watch`
+        # finds that it is over; without the lock a connection made just then would never be ended.
         self._lock = threading.Lock()
         self._socket: socket.socket | None = None
         self.is_over = False

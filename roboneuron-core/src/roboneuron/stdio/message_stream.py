@@ -111,6 +111,8 @@ class MessageStream(ObjectReceiveStream[SessionMessage], ObjectSendStream[Sessio
         self._answer = answer
         self._on_end = on_end
         self._most = {_PING: _MOST_PINGS, _OTHER: most}
+        # guards lanes, ids and counts between the thread that reads and the event loop; nothing is
+        # written to the client while it is held
         self._lock = threading.Lock()
         self._waiting: dict[int, deque[tuple[JSONRPCMessage, int]]] = {
             lane: deque() for lane in (_URGENT, _OTHER, _PING)

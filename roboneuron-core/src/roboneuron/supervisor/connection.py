@@ -44,6 +44,8 @@ class Connection:
     def __init__(self, on_status: Callable[[DiagnosticArray], None], log_directory: Path) -> None:
         self._on_status = on_status
         self._log_directory = log_directory
+        # a thread starts only once: of several callers of `begin` one starts it, and after `close`
+        # none
         self._lock = threading.Lock()
         self._opened: Future[RosLink] = Future()
         self._opening = threading.Thread(target=self._open, name="ros-open", daemon=True)

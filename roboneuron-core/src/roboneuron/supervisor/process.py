@@ -113,6 +113,7 @@ class ModuleProcess:
 
     def note(self, line: str) -> None:
         """Append a line to its log, so that it is among the last ones."""
+        # a full disk costs the line, not the stop or start that it tells of
         with suppress(OSError), open(self.log_path, "a", encoding="utf-8", opener=opener) as file:
             file.write(f"{escaped(line)}\n")
 

@@ -269,6 +269,7 @@ class Supervisor(Modules):
                 self._await_settled(slot)
         claimed: dict[Slot, ModuleProcess] = {}
         for slot in sorted(slots, key=lambda s: -s.started_s):
+            # it has ended, or another thread has begun to stop it
             with suppress(StateError):
                 claimed[slot] = slot.begin_stop()
         return self._finish(claimed, within_s)

@@ -58,6 +58,7 @@ class Switching:
     def __init__(self, loop: ClosedLoop) -> None:
         self.loop = loop
         self._before: dict[ModuleKind, Plan] = {}
+        # tried without waiting: a second switch would begin from a module that is being replaced
         self._busy = {kind: threading.Lock() for kind in loop.modules.slots}
 
     def switch(

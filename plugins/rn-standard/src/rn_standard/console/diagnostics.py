@@ -78,6 +78,7 @@ class DiagnosticsListener:
     def __init__(self, state_directory: Path) -> None:
         self._state_directory = state_directory
         self._reports: dict[tuple[str, str, int], Report] = {}
+        # reports come on the thread of the ROS node
         self._lock = threading.Lock()
 
     def open(self) -> None:

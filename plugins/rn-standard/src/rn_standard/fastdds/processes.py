@@ -28,6 +28,7 @@ class ProcessCleaner:
 
     def __init__(self, record: SegmentRecord) -> None:
         self._record = record
+        # guards what is known of living and ended processes; files are removed without it
         self._lock = threading.Lock()
         self._owned: dict[int, frozenset[str]] = {}
         self._ended: list[tuple[float, SilentPorts]] = []

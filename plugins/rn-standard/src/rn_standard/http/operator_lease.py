@@ -69,6 +69,7 @@ class OperatorLease:
         self._by_streams = by_streams
         self._open: Counter[str] = Counter()
         self._is_vacant = False
+        # taken before the audit's lock: a take-over is audited while no other call is admitted
         self._lock = threading.Lock()
         self._operator = ""
         self._renewed_s = 0.0

@@ -35,6 +35,7 @@ class FaultSpans:
 
     def __init__(self, monotonic: Callable[[], float] = time.monotonic) -> None:
         self._monotonic = monotonic
+        # modules are watched, and asked for their faults, on different threads
         self._lock = threading.Lock()
         self._since: dict[tuple[str, str], float] = {}
         self._longest: dict[tuple[str, str], float] = {}

@@ -168,6 +168,7 @@ class MaintenanceFeature(Feature[None]):
         """See `Feature.tools`: none."""
         self._host = host
         self._file = MaintenanceFile(host.state_directory)
+        # file and state change together, so that no call is admitted by an outdated state
         self._lock = threading.Lock()
         self._state = self._file.read()
         return ()

@@ -59,6 +59,7 @@ class Recovery:
         self._host = host
         self._status = host.status
         self._driver = driver
+        # a driver recovers one fault at a time
         self._busy = threading.Lock()
 
     def ask(self, number: int) -> None:

@@ -95,6 +95,8 @@ class Restarts:
         self._options = options
         self._record = record
         self._load = load
+        # one pending restart for each kind; the restart itself runs without the lock, so that it
+        # can be cancelled
         self._lock = threading.Lock()
         self._faults: defaultdict[ModuleKind, deque[float]] = defaultdict(deque)
         self._overloads: defaultdict[ModuleKind, deque[float]] = defaultdict(deque)

@@ -65,6 +65,7 @@ class SimulateFeature(Feature[SimulateOptions]):
     def tools(self, host: Host) -> Sequence[Tool[Any]]:
         """One tool that is not listed: calls come to it by `simulator`."""
         self._host = host
+        # one simulation at a time: they share the twin
         self._one = threading.Lock()
         return [
             Tool(

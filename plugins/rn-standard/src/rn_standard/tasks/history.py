@@ -109,6 +109,7 @@ class TaskHistory:
         robot: Callable[[], str] = lambda: "",
     ) -> None:
         self._path, self._now, self.robot = directory / FILE_NAME, now, robot
+        # the kept number of lines goes with the file: of two appends only one may trim it
         self._lock = threading.Lock()
         self._count: int | None = None
 

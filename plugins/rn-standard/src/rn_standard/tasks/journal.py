@@ -110,6 +110,7 @@ class MotionJournal:
 
     def __init__(self, host: Host, history: TaskHistory) -> None:
         self._host, self._history = host, history
+        # guards the row that calls in quick succession are merged into
         self._lock = threading.Lock()
         self._begun: dict[int, _MotionStart] = {}
         self._stopped_s = -math.inf

@@ -61,6 +61,7 @@ class ParallelStart:
         self._modules = modules
         self._requests = requests
         self._role = role
+        # guards the first failure: a module that has not begun to start then never does
         self._lock = threading.Lock()
         self._failure: RoboNeuronError | None = None
         self._halt = threading.Event()  # set with the failure

@@ -48,6 +48,7 @@ class Teleoperation(Feature[None]):
     def __init__(self, options: None) -> None:
         super().__init__(options)
         self.changes: list[Callable[[str, str], object]] = []
+        # asking and beginning are one step, so that two people do not both begin to lead
         self._lock = threading.Lock()
         self._lent: dict[str, tuple[Teleoperator, float]] = {}
         self._lead: Lead | None = None

@@ -76,6 +76,7 @@ class ChunkExecutor:
         self._step_s: float | None = None
         self._due_s = 0.0
         self._predecessor_s = -math.inf
+        # reentrant, because `wait_until_wanted` asks `wants_prediction` while it holds it
         self.changed = threading.Condition(threading.RLock())
 
     # -- prediction

@@ -43,6 +43,8 @@ class LimitsFeature(Feature[None]):
         """See `Feature.tools`."""
         self._host = host
         self._file = TighteningFile(host.state_directory / FILE_NAME)
+        # held until a change is in force, sent to the modules and stored, so that one made in a
+        # terminal does not come in between
         self._lock = threading.Lock()
         self._stop = threading.Event()
         self._record = TightenedRecord(tightening=Tightening(), who="", at_ns=0)

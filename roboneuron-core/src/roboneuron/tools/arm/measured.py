@@ -74,6 +74,7 @@ class MeasuredPose:
         """
         self._host = host
         self._topic = f"/{namespace}/{f'{arm}/' if arm else ''}ee_pose"
+        # of several first callers only one subscribes
         self._lock = threading.Lock()
         self._is_open = False
         self._newest: tuple[float, Pose] | None = None

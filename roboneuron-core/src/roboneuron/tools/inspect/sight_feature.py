@@ -43,7 +43,9 @@ class Sight(Feature[SightOptions]):
 
     def __init__(self, options: SightOptions) -> None:
         super().__init__(options)
+        # guards memory and looks; not held while a locator works, which may take seconds
         self._lock = threading.Lock()
+        # a locator is no thread-safe object: it is loaded and asked by one call at a time
         self._locating = threading.Lock()
         self._changes = 0
         self._locator: Locator | None = None

@@ -49,7 +49,9 @@ class RosTools(Feature[RosToolsOptions]):
         self.exposed = Exposure()
         self._host: Host
         self._graph: LiveGraph | None = None
+        # allow list and tools change together: discovery derives them too, on its own thread
         self._lock = threading.Lock()
+        # one change by an admin at a time, its audit included; taken before the other lock
         self._admin = threading.Lock()
         self._added: tuple[ExposeConfig, ...] = ()
         self._hidden: frozenset[Use] = frozenset()
