@@ -142,7 +142,6 @@ class ClosedLoop:
         self.forms: Mapping[ModuleKind, StartForm] = {}
         self.on_stop: Callable[[ModuleKind], object] = lambda kind: None
         self.streams: dict[str, deque[SentAction]] = {}
-        # one subscription for each namespace, however many starts ask for it at the same time
         self._lock = threading.Lock()
 
     @property
