@@ -75,6 +75,11 @@ class Facts(ctypes.Structure):
 def functions() -> Functions:
     """Functions of libfastcdr 2 and of the C library.
 
+    Those of Fast CDR have mangled names because it has no C interface, and `rmw_fastrtps_cpp` gives
+    the callbacks of a type support a C++ object. `check` proves the names and the layout before the
+    first type is made; the other way to a type without colcon would be another middleware
+    (`rmw_fastrtps_dynamic_cpp`), which the wheels do not hold.
+
     Raises
     ------
     LayoutError
