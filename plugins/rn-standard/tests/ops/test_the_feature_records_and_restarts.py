@@ -17,6 +17,7 @@ import pytest
 from mcp import Client
 
 from rn_standard.ops.feature import SafetyFaults
+from rn_standard.ops.incidents import KEPT
 from rn_standard.ops.plugin import FEATURE
 from rn_testing.agent import Agent, client_of
 from rn_testing.waiting import wait_until
@@ -144,6 +145,17 @@ def test_incidents_are_a_line_each_and_one_of_them_is_told_in_full(
     assert "older lines are left out" in whole["log"][0]
     assert "line 39" in whole["log"][-1]
     assert sum(map(len, whole["log"])) < 9000
+
+
+@pytest.mark.parametrize(("count", "is_cut"), [(KEPT - 1, False), (KEPT + 1, True)])
+def test_counts_say_since_when_records_are_kept(
+    application: Application, count: int, is_cut: bool
+) -> None:
+    for number in range(count):
+        application.events.fault.tell("robot", f"fault_{number}", {"explanation": ""})
+    listed = ask(application, "list_incidents", entries=100)
+    assert bool(listed.get("since")) == is_cut
+    assert len(listed["kinds"]) == min(count, KEPT)
 
 
 def test_an_incident_that_there_is_not_is_refused(application: Application) -> None:

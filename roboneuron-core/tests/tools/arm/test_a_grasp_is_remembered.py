@@ -1,6 +1,4 @@
-"""What pick has grasped stays known, also when its lift ends early or the report of the closed hand
-comes late.
-"""
+"""What pick has grasped and place has put down stays known when the rest of the call ends early."""
 
 from __future__ import annotations
 
@@ -12,7 +10,7 @@ import pytest
 from handling_cell import Cell, cube, pick, place
 
 from roboneuron.contract import GripperProfile, RobotProfile
-from roboneuron.errors import StateError
+from roboneuron.errors import NotReadyError, StateError
 from roboneuron.modules.report import Report
 from roboneuron.server import clock
 from roboneuron.tools.arm.grip_height import GripHeight
@@ -36,6 +34,23 @@ def test_what_a_stopped_pick_has_grasped_can_be_placed_on_another(cell: Cell) ->
     assert cell.holds == "red"
     cell.stops_after, cell.stops = 10_000, 0
     assert place(cell, on="blue").object == "red cube"
+
+
+def test_an_error_after_the_release_says_that_the_object_is_put_down(
+    cell: Cell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pick(cell, object="red")
+    look = cell.look
+
+    def look_once(who: str, newer_than_ns: int = 0) -> Any:
+        if cell.holds is None:
+            raise NotReadyError("No picture comes.", hint="Look again.")
+        return look(who, newer_than_ns)
+
+    monkeypatch.setattr(cell, "look", look_once)
+    with pytest.raises(NotReadyError) as late:
+        place(cell, on="blue")
+    assert '"red cube" is put down already.' in str(late.value.hint)
 
 
 @pytest.mark.parametrize(

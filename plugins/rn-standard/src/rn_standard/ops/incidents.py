@@ -20,7 +20,7 @@ from roboneuron.feature import log_files
 
 log = logging.getLogger(__name__)
 FOLDER = "incidents"
-_KEPT = 200
+KEPT = 200
 _MOST_BYTES = 1 << 24
 _AGAIN_S = 5.0
 """Time within which the same recurring fault of the same module is one incident."""
@@ -91,7 +91,7 @@ class Incidents:
         self._lock = threading.Lock()
         self._newest: dict[tuple[str, str], tuple[float, Path]] = {}
         self._count = 0
-        self._recent: deque[tuple[float, str]] = deque(maxlen=_KEPT)
+        self._recent: deque[tuple[float, str]] = deque(maxlen=KEPT)
 
     def recent(self, within_s: float) -> tuple[int, list[str], float]:
         """Faults of the last seconds: their number, their modules, and the age of the newest."""
@@ -152,5 +152,5 @@ class Incidents:
         return sorted(self.directory.glob("*.json")) if self.directory.is_dir() else []
 
     def _thin_out(self) -> None:
-        for path in self._files()[:-_KEPT]:
+        for path in self._files()[:-KEPT]:
             path.unlink(missing_ok=True)

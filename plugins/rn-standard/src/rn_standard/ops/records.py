@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 from pydantic import Field
 
-from rn_standard.ops.incidents import FaultSpans, Incidents
+from rn_standard.ops.incidents import KEPT, FaultSpans, Incidents
 from rn_standard.ops.server_log import FILE_NAME
 from roboneuron import Arguments, CallContext, InvalidInputError, Resource, Result, Tool
 from roboneuron.feature import Modules, log_files
@@ -131,6 +131,7 @@ class IncidentsResult(Result):
     kinds: list[IncidentKind] = Field(default_factory=list)
     incidents: list[Incident]
     more: int = Field(description="further records that fit the call")
+    since: str = Field(default="", description="older records are removed; counts begin then")
     directory: str = Field(description="where the whole records are, on the server's host")
 
 
@@ -296,7 +297,7 @@ def record_tools(modules: Modules, incidents: Incidents) -> list[Tool]:
     async def list_incidents(arguments: ListIncidents, context: CallContext) -> IncidentsResult:
         if arguments.module is not None:
             _check(modules, arguments.module)
-        found = await context.run(lambda _: incidents.listing(200))
+        found = await context.run(lambda _: incidents.listing(KEPT))
         directory, robot = str(incidents.directory), incidents.robot()
         if arguments.id is not None:
             one = next((record for record in found if record.get("id") == arguments.id), None)
@@ -318,6 +319,7 @@ def record_tools(modules: Modules, incidents: Incidents) -> list[Tool]:
             kinds=incident_kinds(fitting, incidents.spans),
             incidents=lines,
             more=len(fitting) - len(lines),
+            since=str(found[-1].get("at", "")) if len(found) == KEPT else "",
             directory=directory,
         )
 

@@ -192,7 +192,7 @@ def route_to_grasp(grasp: Grasp, start: Pose, others: Sequence[UprightBox]) -> l
             rotation=rotation,
             opening=0.0,
             holds=True,
-            done=f"The hand had grasped {name} before.",
+            done=f"The hand has grasped {name}: place it, it need not be picked again.",
         ),
         Waypoint(what="the lift", position_m=lifted, rotation=rotation, holds=True),
     ]

@@ -122,7 +122,10 @@ class MeasuredPose:
         if self._newest is None or not load:
             return "See get_status."
         age_s = time.monotonic() - self._newest[0]
-        return f"The last one is {age_s:.1f} s old: {load}. End what else runs, then call it again."
+        return (
+            f"The last one is {age_s:.1f} s old: {load}. Once it is less, call again for what is "
+            "left."
+        )
 
     def open(self) -> None:
         """Subscribe; does nothing the second time. Raises RoboNeuronError if ROS cannot be

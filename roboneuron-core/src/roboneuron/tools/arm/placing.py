@@ -29,9 +29,10 @@ from roboneuron.tools.arm.ee_move import EndEffectorMove, MoveEndEffector
 from roboneuron.tools.arm.end_effector import EndEffectorMover
 from roboneuron.tools.arm.grip_height import GripHeight
 from roboneuron.tools.arm.hand_space import UprightBox, gap_m
-from roboneuron.tools.arm.landing import landed
+from roboneuron.tools.arm.landing import MissedError, landed
 from roboneuron.tools.arm.options import HandOptions
 from roboneuron.tools.arm.place_plans import PlaceArguments, PlacePlan, plan_place
+from roboneuron.tools.arm.put_down import is_put_down
 from roboneuron.tools.arm.routes import RobotCarrier, Waypoint, carry_out_in_twin, now_ns, run_route
 from roboneuron.tools.arm.several_arms import arguments_of, handler_of
 
@@ -188,7 +189,12 @@ class Placer:
         assert self._host is not None
         carrier = RobotCarrier(self.mover, context)
         await run_route(carrier, plan.route, arguments.speed, self.mover.fastest)
-        after, seen = await self._after(plan, context)
+        try:
+            after, seen = await self._after(plan, context)
+        except MissedError:
+            raise
+        except RoboNeuronError as error:
+            raise error.with_hint(is_put_down(plan.held)) from error
         return self._told(plan, after, seen).model_copy(
             update={
                 "holding": await context.run(lambda _: self.grip.holding()),

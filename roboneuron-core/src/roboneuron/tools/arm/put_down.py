@@ -305,6 +305,11 @@ def _check_carries(carrier: UprightBox, below: Sequence[UprightBox], put: Uprigh
         )
 
 
+def is_put_down(held: HeldObject) -> str:
+    """What is so once the hand has let go, for errors of what follows."""
+    return f"{told_name(held.object)} is put down already."
+
+
 def route_down(
     descent: Descent, held: HeldObject, start: Pose, others: Sequence[LocatedObject], table_m: float
 ) -> list[Waypoint]:
@@ -329,7 +334,7 @@ def route_down(
             position_m=descent.position_m,
             rotation=rotation,
             opening=descent.opening,
-            done=f"{told_name(held.object)} is put down already.",
+            done=is_put_down(held),
         ),
         Waypoint(what="the height above it", position_m=away, rotation=rotation),
     ]
