@@ -62,7 +62,7 @@ demo-fr3: $(VENV)/.demo-fr3 .venv-fr3sim ## the same with the driver of the real
 	@$(BIN)/python examples/demo_fr3.py $(ARGS)
 
 train-cubes: $(VENV)/.demo-learned ## the small learned policy, from nothing: demonstrations, training; goes on where it was
-	$(BIN)/roboneuron cubes-policy train --workers $(JOBS) $(ARGS)
+	$(BIN)/roboneuron policy cubes train --workers $(JOBS) $(ARGS)
 
 demo-bases: $(VENV)/.demo-bases ## an MCP client drives three mobile bases at the same time
 	@$(BIN)/python examples/drive_bases.py $(ARGS)

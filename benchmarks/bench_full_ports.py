@@ -170,7 +170,7 @@ def running(state: Path) -> Iterator[dict[str, tuple[str, str]]]:
         started = [*command, "serve", "--config", str(config)]
         server = subprocess.Popen(started, env=environment, stderr=output, preexec_fn=few_handles)
         model = subprocess.Popen(
-            [*command, "shared-model", "--config", str(config)],
+            [*command, "policy", "share", "--config", str(config)],
             env=environment,
             stderr=subprocess.DEVNULL,
             preexec_fn=few_handles,

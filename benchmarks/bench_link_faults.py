@@ -4,7 +4,7 @@ evaluated one by one.
     python benchmarks/bench_link_faults.py [--trials 100] [--out out/bench/link-faults] [--judge]
 
 Two machines (network namespaces): a simulated gantry with all its modules on one, `roboneuron
-serve-policy` on the other, with the keys of `roboneuron link`. Half of the trials have a local
+policy serve` on the other, with the keys of `roboneuron link`. Half of the trials have a local
 fallback. Half reach the server through a program with the server's own keys that spoils answers
 (`link_liar`). The number of a trial determines seed, cell and kind of fault. Each trial is a line
 of JSON in OUT/trials.jsonl; an interrupted run can be resumed. Needs root.

@@ -4,7 +4,7 @@ and what robots miss when models are killed.
     python benchmarks/bench_ray_policy.py [--rounds 300] [--side 224]
 
 Needs `rn-backend-openpi[ray]`. A backend that computes nothing gets requests with one raw image
-from one robot, interleaved: over `roboneuron serve-policy` with a process, and with one replica on
+from one robot, interleaved: over `roboneuron policy serve` with a process, and with one replica on
 a Ray cluster of this machine. Both admit by token, over the loopback interface without TLS.
 
 Then 16 robots ask 10 times a second a backend that takes 20 ms for each batch. Its model is killed
@@ -47,7 +47,7 @@ SLOW = SOURCE.replace(
 
 
 class Server:
-    """`roboneuron serve-policy` with one engine.
+    """`roboneuron policy serve` with one engine.
 
     Args:
         stack: ends it.
@@ -71,7 +71,7 @@ class Server:
             f"ray = {{ least = {replicas}, most = {replicas}, cpus = 0.1 }}\n"
         )
         log = stack.enter_context((folder / "server.log").open("w"))
-        words = ["serve-policy", "--config", str(self._config), "--engine", engine]
+        words = ["policy", "serve", "--config", str(self._config), "--engine", engine]
         started(
             stack, [sys.executable, "-m", "roboneuron.cli.main", *words], stdout=log, stderr=log
         )

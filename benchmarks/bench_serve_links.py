@@ -7,7 +7,7 @@ ROUND-TRIP/JITTER/LOSS/RATE [ms/ms/%/Mbit a second]: half the round trip each wa
 at random without reordering, the loss each way. A loss of 1~100 comes in bursts with a mean of 100
 ms, as with radio: the link is dead for 1 % of the time.
 
-One runs `roboneuron serve-policy` with a model that takes 20 ms and answers chunks of 16 rows of 50
+One runs `roboneuron policy serve` with a model that takes 20 ms and answers chunks of 16 rows of 50
 ms; the other runs the backend `shared` and the executor of the inference module, with one image of
 224x224 for each prediction. A row that is not available when due counts as missed; the longest gap
 is the longest hold. Needs root.

@@ -4,7 +4,7 @@ a link without latency.
     python benchmarks/bench_serve_policy.py [--rounds 300] [--side 224]
 
 A backend that computes nothing gets requests with one image, interleaved: in this process, over the
-Unix socket of the shared backend, and over `roboneuron serve-policy` with TLS 1.3 on the loopback
+Unix socket of the shared backend, and over `roboneuron policy serve` with TLS 1.3 on the loopback
 interface with the keys of a link. The floor is an echo in Python over TLS with the same keys: the
 same number of bytes in each direction. Images are sent raw. CPU is user and system time of all
 processes for one observation, divided by the time of the round trip.
@@ -148,14 +148,22 @@ def started(stack: ExitStack, words: Sequence[str], **more: Any) -> subprocess.P
 
 
 def serve(stack: ExitStack, folder: Path, environment: Mapping[str, str]) -> tuple[str, list[int]]:
-    """Start `roboneuron serve-policy`; returns its address and its processes."""
+    """Start `roboneuron policy serve`; returns its address and its processes."""
     config = folder / "policies.toml"
     config.write_text(
         f'[listen]\nport = 0\ndirectory = "{folder / "run"}"\n'
         '[models.null]\nbackend = "null-benchmark"\n'
     )
     log = stack.enter_context((folder / "server.log").open("w"))
-    words = [sys.executable, "-m", "roboneuron.cli.main", "serve-policy", "--config", str(config)]
+    words = [
+        sys.executable,
+        "-m",
+        "roboneuron.cli.main",
+        "policy",
+        "serve",
+        "--config",
+        str(config),
+    ]
     own = {**environment, "XDG_STATE_HOME": str(folder / "gpu")}
     process = started(stack, words, env=own, stdout=log, stderr=log)
     told: dict[str, Any] = {}
@@ -248,14 +256,14 @@ def main() -> int:
             "in this process": here,
             "echo over TLS": ask_echo,
             "shared, Unix socket": lambda: near.predict(observation),
-            "serve-policy, TLS": lambda: far.predict(observation),
+            "policy serve, TLS": lambda: far.predict(observation),
         }
         took_ms = measure(ways, given.rounds)
         own = [os.getpid()]
         shares = {
             "echo over TLS": cpu_share(ask_echo, [*own, echoing], given.rounds),
-            "serve-policy, TLS": cpu_share(
-                ways["serve-policy, TLS"], [*own, *served], given.rounds
+            "policy serve, TLS": cpu_share(
+                ways["policy serve, TLS"], [*own, *served], given.rounds
             ),
         }
         print(f"{given.side}x{given.side}, {given.rounds} rounds, load {load:.1f}")
@@ -263,7 +271,7 @@ def main() -> int:
             p99 = sorted(times)[int(0.99 * len(times))]
             share = f", {shares[way]:.0%} of a CPU" if way in shares else ""
             print(f"{way:<22} median {statistics.median(times):6.3f} ms, p99 {p99:6.2f} ms{share}")
-        pairs = list(zip(took_ms["serve-policy, TLS"], took_ms["in this process"], strict=True))
+        pairs = list(zip(took_ms["policy serve, TLS"], took_ms["in this process"], strict=True))
         boundary_ms = statistics.median(far_ms - here_ms for far_ms, here_ms in pairs)
         floor_ms = statistics.median(took_ms["echo over TLS"])
         print(

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Annotated
 from pydantic import BaseModel, ConfigDict, Field
 
 from roboneuron.plugins.hookspecs import hookimpl
+from roboneuron.plugins.option_marks import AgentMaySet
 from roboneuron.plugins.specs import (
     ActionSpace,
-    AgentMaySet,
     BackendSpec,
     ControllerSpec,
     DriverSpec,

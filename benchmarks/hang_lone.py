@@ -34,7 +34,7 @@ def lone_commands(folder: Path) -> dict[str, list[str]]:
         "view": [*view, "--config", str(folder / "roboneuron.toml")],
         "twin": list(COMMAND),
         "policy front": [
-            *(sys.executable, "-m", "roboneuron.cli.main", "serve-policy"),
+            *(sys.executable, "-m", "roboneuron.cli.main", "policy", "serve"),
             *("--config", str(policies)),
         ],
     }

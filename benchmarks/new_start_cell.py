@@ -153,7 +153,7 @@ class Cell(BlockingAgent):
         return done
 
     def begin_maintenance(self) -> None:
-        """Take the robot out of service as `roboneuron maintenance --begin` does."""
+        """Take the robot out of service as `roboneuron robot maintenance --begin` does."""
         state, audit = self.folder / "state", AuditLog.in_directory(self.folder / "state")
         out = MaintenanceFile(state).begin("a person", Role.ADMIN, "random sequence", audit)
         EmergencyStopLatch.in_directory(state).latch(who=out.who, reason=str(out), audit=audit)

@@ -1,7 +1,7 @@
 """Record how a scripted person corrects a learned policy where it fails, as one LeRobot data set.
 
     python benchmarks/record_corrections.py --episodes 40 [--minutes 30] [--seed 500]
-    roboneuron cubes-policy improve --corrections out/corrections/data-set \\
+    roboneuron policy cubes improve --corrections out/corrections/data-set \\
         --suite-option 'displaced_m=[0.06,-0.03,0]'
 
 The cell is a server with the simulated FR3 and the learned policy; the camera beside the table is

@@ -19,9 +19,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field
 
 from roboneuron.plugins.hookspecs import hookimpl
+from roboneuron.plugins.option_marks import AgentMaySet
 from roboneuron.plugins.specs import (
     ActionSpace,
-    AgentMaySet,
     BackendSpec,
     ControllerSpec,
     PerceptionSpec,

@@ -1,4 +1,4 @@
-"""The learned policy behind `roboneuron openpi-server`: episodes in simulation equal those of the
+"""The learned policy behind `roboneuron policy openpi`: episodes in simulation equal those of the
 same policy in the worker's own process, action by action and bit for bit.
 """
 
@@ -45,13 +45,13 @@ def episodes(folder: Path) -> list[dict[str, object]]:
 @pytest.mark.slow
 def test_episodes_over_the_websocket_are_those_without_it(tmp_path: Path) -> None:
     policy = tmp_path / "policy"
-    run("cubes-policy", "unpack", policy)
+    run("policy", "cubes", "unpack", policy)
     local = policy / "roboneuron.toml"
     served = tmp_path / "gpu.toml"
     text = local.read_text().replace("[inference]\n", f'[inference]\ncheckpoint = "{policy}"\n', 1)
     served.write_text(f"{text}\n[plugins.openpi.server]\nport = 0\n")
     common = ("--episodes", 4, "--seed", 10000, "--workers", 1)
-    command = [*COMMAND, "openpi-server", "--config", str(served)]
+    command = [*COMMAND, "policy", "openpi", "--config", str(served)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
         try:
             assert server.stdout is not None

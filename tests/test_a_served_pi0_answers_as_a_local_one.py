@@ -1,4 +1,4 @@
-"""A network on another machine: `roboneuron openpi-server` with a tiny pi0, called by the backend
+"""A network on another machine: `roboneuron policy openpi` with a tiny pi0, called by the backend
 `openpi`, answers like the same pi0 in this process.
 """
 
@@ -87,7 +87,15 @@ def served(folder: Path, checkpoint: Path, openpi: str) -> Iterator[str]:
     path = folder / "gpu.toml"
     text = CONFIG.format(checkpoint=checkpoint, joints=json.dumps(JOINTS), openpi=openpi)
     path.write_text(text, encoding="utf-8")
-    command = [sys.executable, "-m", "roboneuron.cli.main", "openpi-server", "--config", str(path)]
+    command = [
+        sys.executable,
+        "-m",
+        "roboneuron.cli.main",
+        "policy",
+        "openpi",
+        "--config",
+        str(path),
+    ]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         try:
             assert process.stdout is not None

@@ -57,7 +57,7 @@ def project(tmp_path: Path, request: pytest.FixtureRequest) -> Path:
     write_box_mesh(tmp_path / "arm" / "box.stl")
     urdf = write(tmp_path / "arm" / "urdf", *arm_of(*getattr(request, "param", ("revolute", 6))))
     project = tmp_path / "rn-robot-mine"
-    words = ["new", "robot", "mine", "--urdf", str(urdf), "--driver", "none"]
+    words = ["plugins", "new", "robot", "mine", "--urdf", str(urdf), "--driver", "none"]
     assert main([*words, "--directory", str(project)]) == 0
     info = project / "src" / "rn_robot_mine-0.1.0.dist-info"
     info.mkdir()

@@ -1,4 +1,4 @@
-"""`roboneuron check-policy` compares a policy served by SGLang or vLLM-Omni (stand-ins) with
+"""`roboneuron policy check` compares a policy served by SGLang or vLLM-Omni (stand-ins) with
 recorded actions, through the engine's profile.
 """
 

@@ -11,8 +11,8 @@ from roboneuron.cli.main import main
 COMMANDS = [
     ("serve", "--transport", "http"),
     ("view",),
-    ("serve-policy",),
-    ("openpi-server",),
+    ("policy", "serve"),
+    ("policy", "openpi"),
     ("eval", "serve"),
 ]
 SECTIONS = {

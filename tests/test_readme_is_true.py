@@ -12,7 +12,7 @@ import anyio
 import pytest
 from mcp import Client, StdioServerParameters
 
-from roboneuron.cli.main import GROUPS, all_commands
+from roboneuron.cli.listing import all_commands
 from roboneuron.config import default_text
 from roboneuron.plugins.discovery import discover
 
@@ -53,7 +53,7 @@ def test_every_command_in_the_readme_exists(root: Path) -> None:
     text = (root / "README.md").read_text(encoding="utf-8")
     used = set(re.findall(r"(?:^|`)roboneuron ([a-z-]+)", text, re.MULTILINE))
     assert used
-    assert used <= {*GROUPS, *(command.name for command in all_commands(discover()))}
+    assert used <= {command.words.split()[0] for command in all_commands(discover())}
     targets = set(re.findall(r"make ([a-z0-9-]+)", " ".join(blocks(root, "bash"))))
     assert targets <= make_targets(root)
 

@@ -130,7 +130,7 @@ async def keeps_to_tightened_limits(agent: CubeAgent) -> None:
     await agent.do("stop_control")
     await agent.do("start_control")
     await agent.says_tightened()
-    assert "roboneuron limits --loosen" in await agent.fail("loosen_limits")
+    assert "roboneuron robot limits --loosen" in await agent.fail("loosen_limits")
 
 
 @pytest.mark.parametrize("engine", [engine for engine in ENGINES if is_importable(engine)])

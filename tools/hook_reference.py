@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from dataclasses import fields
 from pathlib import Path
 
-from roboneuron.cli.main import CommandModule
+from roboneuron.cli.listing import CommandModule
 from roboneuron.contract import protocols
 from roboneuron.contract.locator import Locator
 from roboneuron.plugins import hookspecs

@@ -29,7 +29,7 @@ import requirements
 ROOT = Path(__file__).parents[1]
 EXPECTED = {"roboneuron": "W007,W008,W009", "rn_testing": "W002,W009"}
 """Findings of check-wheel-contents that are meant: the whole holds no code, and the templates of
-`roboneuron new` contain the licence a second time.
+`roboneuron plugins new` contain the licence a second time.
 """
 _OTHERS = "W009"
 """Some distributions have several packages, which load apart."""

@@ -88,7 +88,7 @@ PICTURES = {
         commands=("cat mistaken.toml", "roboneuron config check mistaken.toml"), fails=True
     ),
     "doctor": Picture(commands=("roboneuron doctor",), columns=110),
-    "describe": Picture(commands=("roboneuron describe geometry_msgs/msg/Twist",), columns=110),
+    "describe": Picture(commands=("roboneuron ros describe geometry_msgs/msg/Twist",), columns=110),
     "plugins-list": Picture(commands=("roboneuron plugins list",), columns=84),
     "plugins-show": Picture(commands=("roboneuron plugins show servo",), columns=110),
     "plugins-rules": Picture(
@@ -96,7 +96,7 @@ PICTURES = {
     ),
     "plugins-check": Picture(commands=("roboneuron plugins check servo",), last=20),
     "new": Picture(
-        commands=("roboneuron new backend nod", "find rn-backend-nod -type f"), columns=90
+        commands=("roboneuron plugins new backend nod", "find rn-backend-nod -type f"), columns=90
     ),
     "status": Picture(
         commands=("roboneuron status", "roboneuron estop --status"),
@@ -125,7 +125,7 @@ PICTURES = {
     "eval": Picture(
         before=(EVALUATION,), commands=("roboneuron eval report out/eval --by target",), columns=96
     ),
-    "fr3-check": Picture(commands=("roboneuron fr3 check",), columns=104, fails=True),
+    "fr3-check": Picture(commands=("roboneuron robot fr3 check",), columns=104, fails=True),
 }
 
 

@@ -38,7 +38,7 @@ def eval_demo(session: nox.Session) -> None:
     """the learned policy on 200 seeds with each FastV preset, then by execution mode and latency"""
     policy = "out/eval/policy"
     shutil.rmtree(ROOT / policy, ignore_errors=True)
-    roboneuron(session, "cubes-policy", "unpack", policy)
+    roboneuron(session, "policy", "cubes", "unpack", policy)
     run = ["eval", "run", "--backend", "oft-primary", "--checkpoint", policy]
     run += ["--config", f"{policy}/roboneuron.toml"]
     run += ["--seed", "10000", "--workers", JOBS, "--retry-errors"]
@@ -56,7 +56,7 @@ def eval_rtc(session: nox.Session) -> None:
     """the flow policy sequential, overlapped and with real-time chunking, by latency; resumes"""
     policy = "out/eval/flow-policy"
     shutil.rmtree(ROOT / policy, ignore_errors=True)
-    roboneuron(session, "cubes-policy", "flow", "unpack", policy)
+    roboneuron(session, "policy", "cubes", "flow", "unpack", policy)
     run = ["eval", "run", "--backend", "pi0", "--checkpoint", policy]
     run += ["--config", f"{policy}/roboneuron.toml", "--out", "out/eval/rtc"]
     run += ["--seed", "20000", "--episodes", "200", "--workers", JOBS, "--retry-errors"]
@@ -71,7 +71,7 @@ def eval_shift(session: nox.Session) -> None:
     """the learned policy on 50 seeds with the camera moved, other light, table or noise"""
     policy = "out/eval/policy"
     shutil.rmtree(ROOT / policy, ignore_errors=True)
-    roboneuron(session, "cubes-policy", "unpack", policy)
+    roboneuron(session, "policy", "cubes", "unpack", policy)
     run = ["eval", "run", "--backend", "oft-primary", "--checkpoint", policy]
     run += ["--config", f"{policy}/roboneuron.toml", "--execution", "overlap"]
     run += ["--seed", "10000", "--episodes", "50", "--workers", JOBS, "--retry-errors"]
@@ -119,7 +119,7 @@ def improve_cubes(session: nox.Session) -> None:
         session.run(sys.executable, record, "--episodes", wanted)
         words += ["--corrections", "out/corrections/data-set"]
         words += ["--suite-option", "displaced_m=[0.06,-0.03,0]"]
-    roboneuron(session, "cubes-policy", "improve", *words, *session.posargs)
+    roboneuron(session, "policy", "cubes", "improve", *words, *session.posargs)
 
 
 @lane

@@ -43,7 +43,7 @@ PASSING = (
     errno.ENETDOWN,
 )
 """Errors after which accept(2) is to be called again."""
-WORDS = (sys.executable, "-m", "roboneuron.cli.main", "serve-policy")
+WORDS = (sys.executable, "-m", "roboneuron.cli.main", "policy", "serve")
 
 
 def link_of(state: Path) -> Path:
@@ -66,7 +66,7 @@ def toml_of(value: object) -> str:
 
 
 class RunningServer:
-    """`roboneuron serve-policy` in its own folder, with `reflex` under the names of the models.
+    """`roboneuron policy serve` in its own folder, with `reflex` under the names of the models.
 
     Args:
         folder: for all its files; the small model is installed there.

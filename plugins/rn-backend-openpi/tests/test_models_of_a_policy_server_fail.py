@@ -101,7 +101,7 @@ def test_why_a_model_cannot_be_loaded_is_told_to_robots_and_in_the_status(
     good = robot(server.address, model="good", coding="raw")
     for _ in range(3):
         good.predict(SEEN)
-    words = ["serve-policy", "status", "--config", str(server.config)]
+    words = ["policy", "serve", "status", "--config", str(server.config)]
     assert main(words) == 0
     shown = capsys.readouterr().out.splitlines()
     assert shown[1].split()[:5] == ["model", "state", "pid", "robots", "batches"]

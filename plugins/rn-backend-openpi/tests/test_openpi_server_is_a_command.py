@@ -1,4 +1,4 @@
-"""The command `roboneuron openpi-server`: what it serves, and refusals by name."""
+"""The command `roboneuron policy openpi`: what it serves, and refusals by name."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ def test_the_command_serves_until_it_is_told_to_end(site: Path, tmp_path: Path) 
     (tmp_path / "run").symlink_to(run)
     own = {"PYTHONPATH": str(site), "HOME": str(tmp_path), "XDG_RUNTIME_DIR": str(run)}
     process = subprocess.Popen(
-        [sys.executable, "-m", "roboneuron.cli.main", "openpi-server", "--config", str(config)],
+        [sys.executable, "-m", "roboneuron.cli.main", "policy", "openpi", "--config", str(config)],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

@@ -1,4 +1,4 @@
-"""The metrics of `serve-policy` as read by Prometheus."""
+"""The metrics of `policy serve` as read by Prometheus."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`roboneuron serve-policy --engine ray`: replicas on a real Ray cluster of this machine behind one
+"""`roboneuron policy serve --engine ray`: replicas on a real Ray cluster of this machine behind one
 address.
 """
 

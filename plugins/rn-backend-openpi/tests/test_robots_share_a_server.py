@@ -128,7 +128,7 @@ def test_the_command_serves_robots_of_the_same_configuration_until_it_is_ended(
     given = options_in(tmp_path, idle_s=30.0)
     path = tmp_path / "roboneuron.toml"
     path.write_text(f'[robot]\nname = "any"\n[plugins]\nshared = {toml_of(given)}\n')
-    words = [sys.executable, "-m", "roboneuron.cli.main", "shared-model", "--config", str(path)]
+    words = [sys.executable, "-m", "roboneuron.cli.main", "policy", "share", "--config", str(path)]
     process = subprocess.Popen(words, env={**os.environ, **given["environment"]})
     try:
         wait_until(lambda: bool(list((tmp_path / "run").glob("*.sock"))), 90.0, "it listens")

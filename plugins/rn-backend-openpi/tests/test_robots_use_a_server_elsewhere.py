@@ -79,5 +79,5 @@ def test_a_wrong_file_is_one_clear_error(
         ("[[[", "cannot be read"),
     ):
         path.write_text(text)
-        assert main(["serve-policy", "--config", str(path)]) != 0
+        assert main(["policy", "serve", "--config", str(path)]) != 0
         assert expected in capsys.readouterr().err

@@ -25,7 +25,7 @@ ROOT = Path(__file__).parents[3]
 
 
 def command_of(words: list[str]) -> str:
-    """The configuration named in this command line of `serve-policy`."""
+    """The configuration named in this command line of `policy serve`."""
     parser = ArgumentParser()
     ServePolicyCommand().configure(parser)
     given = parser.parse_args(words)
@@ -38,12 +38,12 @@ def test_the_unit_runs_this_interpreter_with_that_file(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
 ) -> None:
     config = tmp_path / name
-    assert main(["serve-policy", "unit", "--config", str(config)]) == 0
+    assert main(["policy", "serve", "unit", "--config", str(config)]) == 0
     unit = configparser.ConfigParser(interpolation=None)
     unit.optionxform = str  # type: ignore[assignment, method-assign]
     unit.read_string(capsys.readouterr().out)
     words = [word.replace("%%", "%") for word in shlex.split(unit["Service"]["ExecStart"])]
-    assert words[:4] == [sys.executable, "-m", "roboneuron.cli.main", "serve-policy"]
+    assert words[:5] == [sys.executable, "-m", "roboneuron.cli.main", "policy", "serve"]
     assert command_of(words[4:]) == str(config)
     assert unit["Service"]["Type"] == "notify"
 
@@ -90,13 +90,13 @@ def test_a_server_tells_its_manager_that_it_has_begun(
 def test_the_container_file_installs_and_runs_what_is_there(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["serve-policy", "containerfile"]) == 0
+    assert main(["policy", "serve", "containerfile"]) == 0
     text = re.sub(r"(?m)^#.*\n", "", capsys.readouterr().out).replace("\\\n", " ")
     steps = [line.partition(" ") for line in text.splitlines() if line]
     assert steps[0][0] == "FROM"
     by_name = {name: rest for name, _, rest in steps}
     entry = json.loads(by_name["ENTRYPOINT"])
-    assert entry[:2] == ["roboneuron", "serve-policy"]
+    assert entry[:3] == ["roboneuron", "policy", "serve"]
     assert command_of(entry[2:]) == "/etc/policies.toml"
     assert int(by_name["EXPOSE"]) == ListenOptions().port
     assert by_name["USER"] != "0"
@@ -136,7 +136,7 @@ def test_a_folder_that_no_socket_fits_into_is_named_before_anything_starts(
     listen = {"keys": "token", "token_file": str(tmp_path / "token"), "directory": str(folder)}
     table = ", ".join(f"{key} = {json.dumps(value)}" for key, value in listen.items())
     config.write_text(f"listen = {{ {table}, port = 0 }}\n[models.only]\nbackend = 'reflex'\n")
-    assert main(["serve-policy", "--config", str(config)]) == 2
+    assert main(["policy", "serve", "--config", str(config)]) == 2
     said = capsys.readouterr().err
     assert "too long for a socket" in said
     assert "`directory` under [listen]" in said

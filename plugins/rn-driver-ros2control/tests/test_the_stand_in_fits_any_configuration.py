@@ -1,4 +1,4 @@
-"""`roboneuron stand-in FILE`: names, joints, home and gripper of the stand-in are the file's."""
+"""`roboneuron robot stand-in FILE`: names, joints, home and gripper are the file's."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`roboneuron cameras board`: every edge on paper has its length, and the board is found again."""
+"""`roboneuron robot cameras board`: every edge on paper has its length, the board is found."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`roboneuron cameras list`: each camera has a picture or a reason, whatever the others do."""
+"""`roboneuron robot cameras list`: each camera has a picture or a reason of its own."""
 
 from __future__ import annotations
 

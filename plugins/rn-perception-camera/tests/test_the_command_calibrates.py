@@ -1,5 +1,5 @@
-"""`roboneuron cameras calibrate`: from a folder to the pose that look and locate read, and what is
-refused; the dialogue in which pictures are taken.
+"""`roboneuron robot cameras calibrate`: from a folder to the pose that look and locate read, and
+what is refused; the dialogue in which pictures are taken.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""`cubes-policy improve`: rounds with the same result even if killed, promotion only of policies
+"""`policy cubes improve`: rounds with the same result even if killed, promotion only of policies
 that are not worse, and rollback.
 """
 
@@ -292,7 +292,7 @@ def test_rollouts_are_made_again_alike_and_are_labelled_for_every_colour(
 def test_a_round_that_is_killed_at_any_time_ends_as_one_that_is_not(
     weights: Path, tmp_path: Path
 ) -> None:
-    words = [sys.executable, "-P", "-m", "roboneuron.cli.main", "cubes-policy", "improve"]
+    words = [sys.executable, "-P", "-m", "roboneuron.cli.main", "policy", "cubes", "improve"]
     words += ["--weights", str(weights), "--shards", "2", "--rollouts", "1", "--views", "10"]
     words += ["--steps", "4", "--seeds", "2", "--time-limit", "1"]
     words += [f"--set={name}={value}" for name, value in SETTINGS.items()]

@@ -1,4 +1,4 @@
-"""`roboneuron check-policy`: the configured backend on data sets of either layout and on runs."""
+"""`roboneuron policy check`: the configured backend on data sets of either layout and on runs."""
 
 from __future__ import annotations
 
@@ -213,5 +213,5 @@ def test_a_backend_of_another_interpreter_is_run_there(call: Call, tmp_path: Pat
     )
     with pytest.raises(ConfigurationError, match="/opt/its/bin/python") as refusal:
         call("ee_delta", "--config", str(config), "--dataset", str(path), "--episode", "1")
-    assert "/opt/its/bin/roboneuron check-policy" in refusal.value.hint
+    assert "/opt/its/bin/roboneuron policy check" in refusal.value.hint
     assert sys.executable in str(refusal.value)

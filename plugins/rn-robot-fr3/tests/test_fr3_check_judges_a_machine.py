@@ -1,5 +1,5 @@
-"""`roboneuron fr3 check` names what a machine or a network lacks, with limits, and fails with its
-own exit status.
+"""`roboneuron robot fr3 check` names what a machine or a network lacks, with limits, and fails with
+its own exit status.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The package that `roboneuron new robot NAME --urdf` writes: limits, shapes, home, documents."""
+"""The package that `roboneuron plugins new robot NAME --urdf` writes: limits, shapes, home."""
 
 from __future__ import annotations
 
@@ -44,7 +44,12 @@ def new(tmp_path: Path, *words: str) -> Path:
     """The folder of a new package."""
     made = tmp_path / "made"
     urdf = str(tmp_path / "sample.urdf")
-    assert main(["new", "robot", "sample", "--urdf", urdf, "--directory", str(made), *words]) == 0
+    assert (
+        main(
+            ["plugins", "new", "robot", "sample", "--urdf", urdf, "--directory", str(made), *words]
+        )
+        == 0
+    )
     return made
 
 
@@ -154,7 +159,7 @@ def test_meshes_are_copied_and_count_for_distances(tmp_path, monkeypatch, name, 
     elements = [e.replace(BALL, mesh) for e in ARM]
     urdf = write(tmp_path / "urdf", *elements)
     made = tmp_path / "made"
-    words = ["new", "robot", "sample", "--urdf", str(urdf), "--directory", str(made)]
+    words = ["plugins", "new", "robot", "sample", "--urdf", str(urdf), "--directory", str(made)]
     assert main([*words, "--package-path", str(tmp_path / "elsewhere")]) == 0
     (tmp_path / place).unlink()  # the package stands alone
     profile = profile_of(made, monkeypatch)
@@ -253,7 +258,7 @@ def test_options_that_do_not_fit_are_refused_and_nothing_is_written(
 ):
     write(tmp_path, *ARM)
     monkeypatch.chdir(tmp_path)
-    assert main(["new", *words]) == 2
+    assert main(["plugins", "new", *words]) == 2
     assert name in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["sample.urdf"]
 

@@ -113,15 +113,17 @@ from .plugins.hookspecs import (
 from .plugins.module_kind import (
     ModuleKindSpec as ModuleKindSpec,
 )
+from .plugins.option_marks import (
+    AgentMaySet as AgentMaySet,
+    ConfigurationOnly as ConfigurationOnly,
+)
 from .plugins.specs import (
     AccelerationSpec as AccelerationSpec,
     ActionSpace as ActionSpace,
-    AgentMaySet as AgentMaySet,
     BackendSpec as BackendSpec,
     CONTRACT_VERSION as CONTRACT_VERSION,
     CameraSpec as CameraSpec,
     CommandSpec as CommandSpec,
-    ConfigurationOnly as ConfigurationOnly,
     ControllerSpec as ControllerSpec,
     DriverSpec as DriverSpec,
     FeatureSpec as FeatureSpec,

@@ -24,9 +24,11 @@ from .ros import (
 from .hang_watch import (
     HangWatch as HangWatch,
 )
-from .cli.main import (
+from .cli.listing import (
     CommandModule as CommandModule,
     all_commands as all_commands,
+)
+from .cli.main import (
     configure as configure,
 )
 from .config.reading import (

@@ -16,7 +16,8 @@ from pathlib import Path
 import pytest
 
 from roboneuron.cli import terminal
-from roboneuron.cli.main import COMMANDS, main
+from roboneuron.cli.listing import COMMANDS
+from roboneuron.cli.main import main
 from roboneuron.errors import ConfigurationError
 
 
@@ -76,11 +77,11 @@ WRONG = [
     (("demo", "--output", "/proc/no-such"), 2, "/proc/no-such: No such file or directory."),
     (("demo", "--config", "/no/such.toml"), 2, "/no/such.toml"),
     (
-        ("new", "backend", "x", "--directory", "/proc/no-such"),
+        ("plugins", "new", "backend", "x", "--directory", "/proc/no-such"),
         2,
         "/proc/no-such: No such file or directory.",
     ),
-    (("new", "backend", "X"), 2, "'X' is malformed"),
+    (("plugins", "new", "backend", "X"), 2, "'X' is malformed"),
     (("estop", "--state", "/proc/no-such"), 2, "cannot be written"),
 ]
 

@@ -8,7 +8,7 @@ from argparse import ArgumentParser, Namespace
 import pytest
 
 from roboneuron.cli import terminal
-from roboneuron.cli.main import COMMANDS, ListedCommand
+from roboneuron.cli.listing import COMMANDS, ListedCommand
 
 
 @pytest.mark.parametrize(

@@ -1,13 +1,18 @@
-"""Commands in groups, such as `roboneuron plugins check`: their options, and errors about a missing
-action.
+"""Commands in groups, such as `roboneuron plugins check`: their options, errors about a missing
+action, and those that a plugin adds to a group.
 """
 
 from __future__ import annotations
 
 import pytest
 
-from roboneuron.cli.main import main, named_command
+from roboneuron.cli.listing import OLD_NAMES, all_commands
+from roboneuron.cli.main import main, split_action
 from roboneuron.plugins.availability import install_command
+from roboneuron.plugins.discovery import discover
+
+MOST_COMMANDS = 22
+"""Words after `roboneuron` that a user meets first."""
 
 
 @pytest.fixture
@@ -30,7 +35,11 @@ class Checker:
 
 @hookimpl
 def roboneuron_commands():
-    return [CommandSpec(name="plugins-check", summary="checks", target="rn_kit_plugin:Checker")]
+    return [
+        CommandSpec(
+            name="plugins-check", group="plugins", summary="checks", target="rn_kit_plugin:Checker"
+        )
+    ]
 """
 
 
@@ -55,7 +64,7 @@ def test_check_without_such_a_plugin_says_what_to_install(only, capsys):
 @pytest.mark.parametrize(
     ("words", "package"),
     [
-        (["new", "backend", "nod"], "rn-testing"),
+        (["plugins", "new", "backend", "nod"], "rn-testing"),
         (["call", "get_status"], "rn-standard"),
         (["tools"], "rn-standard"),
         (["config", "show"], "rn-standard"),
@@ -71,12 +80,9 @@ def test_a_command_that_is_not_installed_is_named_with_its_package(only, capsys,
 
 
 def test_options_of_a_group_may_stand_before_its_action():
-    assert named_command(["plugins", "--config", "list", "show", "x"]) == (
-        "plugins-show",
-        ["--config", "list", "x"],
-    )
-    assert named_command(["plugins", "-v", "list"]) == ("plugins-list", ["-v"])
-    assert named_command(["serve", "--config", "list"]) == ("serve", ["--config", "list"])
+    assert split_action(["--config", "list", "show", "x"]) == ("show", ["--config", "list", "x"])
+    assert split_action(["-v", "list"]) == ("list", ["-v"])
+    assert split_action(["--help"]) == ("", ["--help"])
 
 
 @pytest.mark.parametrize("words", [["plugins"], ["plugins", "--help"]])
@@ -103,13 +109,135 @@ def test_a_group_without_any_installed_action_says_what_to_install(
     assert install_command(*packages) in capsys.readouterr().err
 
 
-def test_an_unknown_command_suggests_the_nearest(capsys):
-    assert main(["plugin"]) == 2
-    assert "Did you mean 'plugins'" in capsys.readouterr().err
+@pytest.mark.parametrize(
+    ("words", "meant"),
+    [(["plugin"], "plugins"), (["plugins", "lst"], "plugins list"), (["doctr"], "doctor")],
+)
+def test_an_unknown_command_suggests_the_nearest(capsys, words, meant):
+    assert main(words) == 2
+    assert f"Did you mean {meant!r}" in capsys.readouterr().err
 
 
-def test_help_lists_every_command_without_importing_it(capsys):
+OWN = """
+class Store:
+    \"\"\"Keep parts.\"\"\"
+    def configure(self, parser):
+        actions = parser.add_subparsers(dest="action", required=True)
+        actions.add_parser("list", help="what is kept")
+    def run(self, arguments):
+        print("store", arguments.action)
+        return 0
+
+@hookimpl
+def roboneuron_commands():
+    return [
+        CommandSpec(name="store", summary="keep parts", target="rn_store_plugin:Store")
+    ]
+"""
+ADDED = """
+class Added:
+    \"\"\"Add.\"\"\"
+    def configure(self, parser):
+        parser.add_argument("--twice", action="store_true")
+    def run(self, arguments):
+        print("added", arguments.twice)
+        return 0
+
+def offered(name, group):
+    return CommandSpec(name=name, group=group, summary="adds", target="rn_other_plugin:Added")
+
+@hookimpl
+def roboneuron_commands():
+    return [
+        offered("store-push", "store"),
+        offered("store-list", "store"),
+        offered("robot-polish", "robot"),
+        offered("painting-mix", "painting"),
+    ]
+"""
+
+
+@pytest.mark.parametrize(
+    ("words", "printed"),
+    [
+        ("store list", "store list"),  # a command keeps its own actions
+        ("store push --twice", "added True"),
+        ("robot polish", "added False"),
+        ("painting mix --twice", "added True"),
+    ],
+)
+def test_a_plugin_adds_a_command_to_any_group(only, capsys, words, printed):
+    only.install("rn-store", OWN)
+    only.install("rn-other", ADDED)
+    assert main(words.split()) == 0
+    assert capsys.readouterr().out == f"{printed}\n"
+
+
+@pytest.mark.parametrize(
+    ("words", "shown"),
+    [
+        ("--help", "painting  mix"),
+        ("--help", "store     keep parts"),
+        ("painting --help", "painting mix  adds"),
+        ("store --help", "push         adds"),
+    ],
+)
+def test_help_shows_what_a_plugin_adds_to_groups(only, capsys, words, shown):
+    only.install("rn-store", OWN)
+    only.install("rn-other", ADDED)
+    with pytest.raises(SystemExit) as ended:
+        main(words.split())
+    assert ended.value.code == 0
+    assert shown in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        'name="push", group="store"',
+        'name="store-push", group="Store"',
+        'name="push", section="first"',
+        'name="store-push", group="store", section="start"',
+    ],
+)
+def test_a_command_with_a_wrong_place_is_refused(only, fields):
+    text = f'CommandSpec({fields}, summary="s", target="rn_kit_plugin:Checker")'
+    only.install("rn-kit", CHECKER.replace(CHECKER[CHECKER.index("CommandSpec(") :], f"{text}]\n"))
+    [record] = only.discover().plugins
+    assert record.status == "failed"
+
+
+def test_the_first_help_is_short(capsys):
     with pytest.raises(SystemExit) as ended:
         main(["--help"])
     assert ended.value.code == 0
-    assert "plugins list      list the installed plugins" in capsys.readouterr().out
+    shown = capsys.readouterr().out
+    commands = {c.words.split()[0] for c in all_commands(discover())}
+    rows = [line for line in shown.splitlines() if line[:2] == "  " and line[2:3].isalpha()]
+    assert {row.split()[0] for row in rows} == commands
+    assert len(rows) == len(commands) <= MOST_COMMANDS
+
+
+def test_old_names_do_the_same_and_say_the_new_one(capsys):
+    words = {command.words for command in all_commands(discover())}
+    assert set(OLD_NAMES.values()) <= words
+    assert not OLD_NAMES.keys() & {one.split()[0] for one in words}
+    for old, now in OLD_NAMES.items():
+        helped = []
+        for name in (old, now):
+            with pytest.raises(SystemExit) as ended:
+                main([*name.split(), "--help"])
+            assert ended.value.code == 0
+            helped.append(capsys.readouterr())
+        assert helped[0].out == helped[1].out
+        assert helped[1].err == ""
+        [told] = helped[0].err.splitlines()
+        assert f"`roboneuron {now}`" in told
+
+
+def test_a_plugins_command_comes_before_an_old_name(only, capsys):
+    only.install(
+        "rn-kit", CHECKER.replace('name="plugins-check", group="plugins"', 'name="limits"')
+    )
+    assert main(["limits", "x"]) == 1
+    assert capsys.readouterr() == ("checked x False None\n", "")

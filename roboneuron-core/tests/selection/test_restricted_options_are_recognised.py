@@ -14,7 +14,7 @@ from pydantic import AnyUrl, BaseModel, ConfigDict, Field, FilePath, SecretStr, 
 
 from rn_testing.rules.restricted import unmarked_options
 from roboneuron import AgentMaySet, ConfigurationOnly
-from roboneuron.plugins.specs import SCHEMA_KEY
+from roboneuron.plugins.option_marks import SCHEMA_KEY
 from roboneuron.selection.restricted import OptionAccess, restricted_values
 
 

@@ -1,3 +1,3 @@
 """openpi's websocket protocol for policies: the backend `openpi` is a client, the command
-`openpi-server` a server.
+`policy openpi` a server.
 """

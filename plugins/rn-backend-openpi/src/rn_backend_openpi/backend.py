@@ -86,7 +86,7 @@ class PolicyBackend:
             elif not told.is_ours:
                 raise ConfigurationError(
                     f"The server at {options.url or options.address} is none of `roboneuron "
-                    "serve-policy`; what goes over the wire is never guessed.",
+                    "policy serve`; what goes over the wire is never guessed.",
                     hint=f"Set the option profile; choose one of {PROFILES}.",
                 )
             self._coder = Coder(options, told.image_sizes, session.base_s)

@@ -1,4 +1,4 @@
-"""The network side of `roboneuron serve-policy`: admits robots, and forwards their messages to the
+"""The network side of `roboneuron policy serve`: admits robots, and forwards their messages to the
 process of the model that they name.
 """
 
@@ -263,7 +263,7 @@ def _check_alone(path: Path) -> None:
         pass
     raise ConfigurationError(
         "A policy server of this file is already running.",
-        hint="See `roboneuron serve-policy status`.",
+        hint="See `roboneuron policy serve status`.",
     )
 
 

@@ -31,7 +31,7 @@ ProfileName = Literal[
 ]
 SpaceKind = Literal["ee_delta", "ee_pose", "joint_position", "joint_velocity", "joint_delta"]
 _PLAIN = "roboneuron"
-"""Profile of earlier releases, for servers of `roboneuron serve-policy`; read until 0.2."""
+"""Profile of earlier releases, for servers of `roboneuron policy serve`; read until 0.2."""
 _OF_PLAIN = frozenset({"rate_hz", "slides", "grippers"})
 PROFILES = ", ".join(get_args(ProfileName)[:-1])
 """Names of the profiles, for messages."""

@@ -113,7 +113,7 @@ class PolicyOptions(InterfaceOptions, ModelOptions):
         AfterValidator(check_port),
     ] = Field(
         default=None,
-        description="a server of `roboneuron serve-policy`, `host:port` or `[IPv6]:port`; `host` "
+        description="a server of `roboneuron policy serve`, `host:port` or `[IPv6]:port`; `host` "
         "may be the name of a machine of `roboneuron link`, whose keys are used without token_file",
     )
     model: Annotated[Identifier | None, ConfigurationOnly()] = Field(
@@ -202,7 +202,7 @@ class PolicyOptions(InterfaceOptions, ModelOptions):
         description="folder of the servers' sockets and logs; by default in the user's run-time "
         "directory",
     )
-    server: Table = Field(default={}, description="options of `roboneuron openpi-server`")
+    server: Table = Field(default={}, description="options of `roboneuron policy openpi`")
 
     def identity(self) -> str:
         """16 hexadecimal digits, equal for robots that share a model on this machine."""

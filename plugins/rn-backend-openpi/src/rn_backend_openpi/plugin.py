@@ -45,18 +45,21 @@ SHARED = BackendSpec(
 when its server answers; a chunk that continues no rows is marked as such.
 """
 COMMAND = CommandSpec(
-    name="openpi-server",
-    summary="serve-policy for the backend of a robot's configuration; of earlier releases",
+    name="policy-openpi",
+    group="policy",
+    summary="`serve` for the backend of a robot's configuration; of earlier releases",
     target="rn_backend_openpi.serve_command:OpenpiServerCommand",
     requires=_MODULES,
 )
 MODEL_COMMAND = CommandSpec(
-    name="shared-model",
+    name="policy-share",
+    group="policy",
     summary="serve the model of [plugins.shared] until Ctrl-C",
     target="rn_backend_openpi.serve_command:SharedModelCommand",
 )
 SERVE_COMMAND = CommandSpec(
-    name="serve-policy",
+    name="policy-serve",
+    group="policy",
     summary="serve models to robots on other machines, each in a process of its own",
     target="rn_backend_openpi.serve_command:ServePolicyCommand",
 )

@@ -1,4 +1,4 @@
-"""Models of `roboneuron serve-policy --engine ray`: replicas on a Ray cluster. Ray Serve places,
+"""Models of `roboneuron policy serve --engine ray`: replicas on a Ray cluster. Ray Serve places,
 restarts, drains and scales them, and chooses the one that answers a request.
 """
 

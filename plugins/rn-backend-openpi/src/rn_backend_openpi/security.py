@@ -135,7 +135,7 @@ def place_of(options: PolicyOptions) -> ServerAddress:
         raise ConfigurationError(
             f"A token is not sent unencrypted to {host}.",
             hint="Use wss:// or ca_file, a tunnel, or allow_insecure_key = true. Of `roboneuron "
-            f"serve-policy`: {_PAIR}",
+            f"policy serve`: {_PAIR}",
         )
     return place._replace(
         warning=f"the connection to {host} is not encrypted: anyone on the path can read the "

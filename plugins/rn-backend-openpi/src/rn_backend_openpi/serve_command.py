@@ -1,6 +1,4 @@
-"""The commands `roboneuron serve-policy`, `shared-model`, and `openpi-server` of earlier
-releases.
-"""
+"""The commands `roboneuron policy serve`, `share`, and `openpi` of earlier releases."""
 
 from __future__ import annotations
 
@@ -134,7 +132,7 @@ class SharedModelCommand:
 class OpenpiServerCommand:
     """Serve the backend of [inference] over openpi's websocket until Ctrl-C or SIGTERM.
 
-    Of earlier releases: `serve-policy` with a model that has an `interface` does the same.
+    Of earlier releases: `policy serve` with a model that has an `interface` does the same.
     """
 
     def configure(self, parser: ArgumentParser) -> None:
@@ -157,7 +155,7 @@ class OpenpiServerCommand:
         from rn_backend_openpi.listener import address_of
         from roboneuron.command import discover, load_config
 
-        log.warning("openpi-server is old: serve-policy serves a model with an `interface` alike.")
+        log.warning("policy openpi is old: policy serve serves a model with an `interface` alike.")
         registry = discover()
         served = served_options(load_config(arguments.config, registry), registry, arguments)
         scheme = "ws" if served.listen.certificate is None else "wss"

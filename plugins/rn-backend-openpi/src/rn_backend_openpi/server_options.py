@@ -1,4 +1,4 @@
-"""The file of `roboneuron serve-policy`."""
+"""The file of `roboneuron policy serve`."""
 
 from __future__ import annotations
 
@@ -137,7 +137,7 @@ class ListenOptions(OptionSection):
 
 
 class PolicyServerOptions(OptionSection):
-    """The file of `roboneuron serve-policy`."""
+    """The file of `roboneuron policy serve`."""
 
     listen: ListenOptions = Field(default=ListenOptions(), description="Address for robots")
     ray: RayOptions = Field(

@@ -128,7 +128,7 @@ def ask_status(path: Path) -> Document:
     except (FileNotFoundError, ConnectionRefusedError) as error:
         raise NotReadyError(
             "No policy server of this file runs on this machine as this user.",
-            hint="Start it with `roboneuron serve-policy`.",
+            hint="Start it with `roboneuron policy serve`.",
         ) from error
     except (OSError, ForeignDataError) as error:
         raise NotReadyError(f"The policy server does not answer: {error}.") from error

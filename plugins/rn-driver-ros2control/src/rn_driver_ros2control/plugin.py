@@ -3,7 +3,8 @@
 from roboneuron import CommandSpec, Requirement, hookimpl
 
 COMMAND = CommandSpec(
-    name="stand-in",
+    name="robot-stand-in",
+    group="robot",
     summary="stand in for the ros2_control controller of a configuration: any arm, no hardware",
     target="rn_driver_ros2control.standin_command:StandInCommand",
     requires=(

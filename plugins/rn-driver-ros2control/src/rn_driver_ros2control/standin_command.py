@@ -1,4 +1,4 @@
-"""The command `roboneuron stand-in`."""
+"""The command `roboneuron robot stand-in`."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class StandInCommand:
     """
 
     def configure(self, parser: ArgumentParser) -> None:
-        """Add the arguments of `roboneuron stand-in`."""
+        """Add the arguments of `roboneuron robot stand-in`."""
         parser.add_argument("file", type=Path, help="the roboneuron.toml")
         parser.add_argument(
             "more",

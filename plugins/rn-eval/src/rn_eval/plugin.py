@@ -12,6 +12,7 @@ from roboneuron import CommandSpec, FeatureSpec, LocatorSpec, Requirement, hooki
 
 COMMAND = CommandSpec(
     name="eval",
+    section="group",
     summary="measure how often a policy or an agent succeeds, over many simulated episodes",
     target="rn_eval.command:Eval",
     brings="rn_eval.hooks:SuiteSpec",

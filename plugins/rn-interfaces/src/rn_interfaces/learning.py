@@ -235,7 +235,8 @@ class _Lesson:
             self._refuse(
                 culprit,
                 f"rosidl does not take {culprit}: {error}.",
-                "Compare it with a message of ROS 2: `roboneuron describe std_msgs/msg/Header`.",
+                "Compare it with a message of ROS 2: `roboneuron ros describe "
+                "std_msgs/msg/Header`.",
             )
             left = [name for name in left if name in self._outlines]
 

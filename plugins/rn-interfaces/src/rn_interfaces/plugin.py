@@ -13,7 +13,8 @@ FEATURE = FeatureSpec(
 
 COMMAND = CommandSpec(
     name="ros",
-    summary="learn, list and show ROS interfaces from their definitions",
+    section="group",
+    summary="describe ROS interfaces; learn, list and show them from their definitions",
     target="rn_interfaces_learning.command:Ros",
 )
 """Descriptor of the command."""

@@ -108,7 +108,8 @@ def _show(store: DefinitionStore, type_name: str) -> int:
     if not store.has(name):
         raise ConfigurationError(
             f"{name} is not learnt.",
-            hint="`roboneuron ros list` shows what is; `roboneuron describe` shows compiled types.",
+            hint="`roboneuron ros list` shows what is; `roboneuron ros describe` shows compiled "
+            "types.",
         )
     origin = store.origin(name)
     head = (f"# {name}", f"# {origin.type_hash}", f"# from {origin.source}")

@@ -12,6 +12,7 @@ FEATURE = FeatureSpec(
 
 COMMAND = CommandSpec(
     name="link",
+    section="group",
     summary="pair machines, and show or remove paired ones",
     target="rn_link.command:LinkCommand",
 )

@@ -1,1 +1,1 @@
-"""The command `roboneuron cameras`: list cameras, print a calibration board, calibrate."""
+"""The command `roboneuron robot cameras`: list cameras, print a calibration board, calibrate."""

@@ -145,8 +145,8 @@ def _find(
         raise InvalidInputError(
             f"None of the {len(left_out)} pictures in {folder.path} shows the board of "
             f"{board.columns} x {board.rows} squares.",
-            hint="Print it with `roboneuron cameras board`, and name --columns and --rows if they "
-            "are not its own.",
+            hint="Print it with `roboneuron robot cameras board`, and name --columns and --rows if "
+            "they are not its own.",
         )
     return found, size
 

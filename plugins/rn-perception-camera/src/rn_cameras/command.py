@@ -1,4 +1,4 @@
-"""The command `roboneuron cameras`."""
+"""The command `roboneuron robot cameras`."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Cameras:
     """List cameras with a picture of each, print a calibration board, calibrate a camera."""
 
     def configure(self, parser: ArgumentParser) -> None:
-        """Arguments of `roboneuron cameras`."""
+        """Arguments of `roboneuron robot cameras`."""
         actions = parser.add_subparsers(
             dest="action", required=True, metavar="ACTION", help="what to do (each: --help)"
         )
@@ -89,7 +89,7 @@ class Cameras:
         _add_board(calibrate)
 
     def run(self, arguments: Namespace) -> int:
-        """Run `roboneuron cameras`."""
+        """Run `roboneuron robot cameras`."""
         if arguments.action == "list":
             return _list(arguments)
         _check_installed()

@@ -135,7 +135,7 @@ class VideoCameraOptions(_CameraOptions):
     device: Annotated[int | str | None, ConfigurationOnly()] = Field(
         default=None,
         description="number of a V4L2 device, its path such as /dev/v4l/by-id/..., or its card "
-        "name, as `roboneuron cameras list` shows them",
+        "name, as `roboneuron robot cameras list` shows them",
     )
     path: Annotated[str | None, ConfigurationOnly()] = Field(
         default=None, min_length=1, description="a video file, instead of a device"

@@ -39,7 +39,8 @@ def roboneuron_commands() -> Sequence[CommandSpec]:
     """The command for all cameras of a machine."""
     return [
         CommandSpec(
-            name="cameras",
+            name="robot-cameras",
+            group="robot",
             summary="list cameras with a picture of each, print a calibration board, calibrate",
             target="rn_cameras.command:Cameras",
         )

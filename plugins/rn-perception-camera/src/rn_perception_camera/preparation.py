@@ -105,7 +105,7 @@ def measured_undistortion(
         raise ConfigurationError(
             f"Camera {profile.name!r} has distortion coefficients, but no intrinsics of images of "
             f"{size[0]}x{size[1]} pixels.",
-            hint=f"Calibrate it at this size: `roboneuron cameras calibrate {profile.name}`.",
+            hint=f"Calibrate it at this size: `roboneuron robot cameras calibrate {profile.name}`.",
         )
     model = "rational_polynomial" if len(coefficients) == 8 else "plumb_bob"
     return Undistortion(intrinsics, model, coefficients, width=size[0], height=size[1])

@@ -106,8 +106,8 @@ class CameraFeed:
                 f"Camera {self._profile.name!r} is to be calibrated by {options.camera_info!r}, "
                 "but the robot's profile"
                 " does not tell where it is mounted.",
-                hint=f"Measure it: `roboneuron cameras calibrate {self._profile.name}`. Or leave "
-                "camera_info out.",
+                hint=f"Measure it: `roboneuron robot cameras calibrate {self._profile.name}`. Or "
+                "leave camera_info out.",
             )
         self._check_type(options.topic, options.type or self._image_type)
         if options.camera_info is not None:

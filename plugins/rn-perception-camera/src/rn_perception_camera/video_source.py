@@ -60,8 +60,8 @@ class VideoCameras:
                 raise ConfigurationError(
                     f"Camera {name!r} has intrinsics, but the robot's profile does not tell where "
                     "it is mounted.",
-                    hint=f"Measure it: `roboneuron cameras calibrate {name}`. Or leave intrinsics "
-                    "out.",
+                    hint=f"Measure it: `roboneuron robot cameras calibrate {name}`. Or leave "
+                    "intrinsics out.",
                 )
         if any(not grabber.join(0.0) for grabber in self._grabbers.values()):
             raise StateError(

@@ -112,9 +112,9 @@ def configuration(directory: Path) -> str:
 
 
 def served(directory: Path) -> str:
-    """The file of `roboneuron serve-policy` with this checkpoint as its only model, as TOML."""
+    """The file of `roboneuron policy serve` with this checkpoint as its only model, as TOML."""
     lines = [
-        "# Read by `roboneuron serve-policy`.",
+        "# Read by `roboneuron policy serve`.",
         "",
         f"[models.{DATA_SET}]",
         *toml_lines({"backend": BACKEND, "checkpoint": str(directory.resolve())}),

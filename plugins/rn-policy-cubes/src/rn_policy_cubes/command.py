@@ -1,4 +1,4 @@
-"""The command `roboneuron cubes-policy`."""
+"""The command `roboneuron policy cubes`."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class CubesPolicy:
     """
 
     def configure(self, parser: ArgumentParser) -> None:
-        """Add the arguments of `roboneuron cubes-policy`."""
+        """Add the arguments of `roboneuron policy cubes`."""
         actions = parser.add_subparsers(
             dest="action", required=True, metavar="ACTION", help="action to run"
         )
@@ -65,7 +65,7 @@ class CubesPolicy:
         configure_flow(actions.add_parser("flow", help="the same skill as a pi0 flow policy"))
 
     def run(self, arguments: Namespace) -> int:
-        """Run `roboneuron cubes-policy`."""
+        """Run `roboneuron policy cubes`."""
         match arguments.action:
             case "train":
                 return _train(arguments)
@@ -160,7 +160,7 @@ def _roll_back(arguments: Namespace) -> int:
     if not (arguments.out / LEDGER_FILE).exists():
         raise ConfigurationError(
             f"{arguments.out} holds no improved policy.",
-            hint="Begin: roboneuron cubes-policy improve",
+            hint="Begin: roboneuron policy cubes improve",
         )
     with alone_in(arguments.out):
         wheel = Wheel(arguments.out, say)

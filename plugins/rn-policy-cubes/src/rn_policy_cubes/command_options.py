@@ -1,4 +1,4 @@
-"""Options that several subcommands of `roboneuron cubes-policy` share, and their values."""
+"""Options that several subcommands of `roboneuron policy cubes` share, and their values."""
 
 from __future__ import annotations
 

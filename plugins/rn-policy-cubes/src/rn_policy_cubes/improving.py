@@ -184,7 +184,7 @@ class Wheel:
         if self.ledger.unfinished is not None:
             raise StateError(
                 f"Round {self.ledger.unfinished} is unfinished.",
-                hint="Let `cubes-policy improve` complete it first.",
+                hint="Let `policy cubes improve` complete it first.",
             )
         *before, champion = self.ledger.champions
         if not before:

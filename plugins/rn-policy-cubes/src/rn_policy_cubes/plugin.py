@@ -1,4 +1,4 @@
-"""Descriptors of this package: the command "cubes-policy" and the monitor "cubes-success"; standard
+"""Descriptors of this package: the command "policy cubes" and the monitor "cubes-success"; standard
 library only.
 """
 
@@ -10,7 +10,8 @@ from rn_standard.tasks.hooks import MonitorSpec
 from roboneuron import CommandSpec, hookimpl
 
 COMMAND = CommandSpec(
-    name="cubes-policy",
+    name="policy-cubes",
+    group="policy",
     summary="make demonstrations, train the small learned policy, pack and unpack its weights",
     target="rn_policy_cubes.command:CubesPolicy",
 )
@@ -27,7 +28,7 @@ MONITOR = MonitorSpec(
 
 @hookimpl
 def roboneuron_commands() -> Sequence[CommandSpec]:
-    """The command `roboneuron cubes-policy`."""
+    """The command `roboneuron policy cubes`."""
     return [COMMAND]
 
 

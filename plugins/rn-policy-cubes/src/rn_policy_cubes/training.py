@@ -144,7 +144,7 @@ def pack(directory: Path) -> Packed:
     state = directory / STATE_FILE
     if not state.exists():
         raise ConfigurationError(
-            f"{directory} holds no training.", hint="Start one: roboneuron cubes-policy train"
+            f"{directory} holds no training.", hint="Start one: roboneuron policy cubes train"
         )
     saved = torch.load(state, map_location="cpu", weights_only=True)
     recipe = Recipe.model_validate(saved["recipe"])

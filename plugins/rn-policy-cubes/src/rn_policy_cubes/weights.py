@@ -17,7 +17,7 @@ def shipped_weights() -> Path:
     if not path.exists():
         raise ConfigurationError(
             "This build of rn-policy-cubes has no weights.",
-            hint="Train them: make train-cubes; then: roboneuron cubes-policy pack --to FILE",
+            hint="Train them: make train-cubes; then: roboneuron policy cubes pack --to FILE",
         )
     return path
 
@@ -30,7 +30,7 @@ def shipped_flow_weights() -> Path:
     if not path.exists():
         raise ConfigurationError(
             "This build of rn-policy-cubes has no weights of the flow policy.",
-            hint="Train them: roboneuron cubes-policy flow train; then: cubes-policy flow pack "
+            hint="Train them: roboneuron policy cubes flow train; then: policy cubes flow pack "
             "--to FILE",
         )
     return path

@@ -16,11 +16,13 @@ COMMAND = CommandSpec(
     name="runs",
     summary="list, show, export, replay and delete recorded runs; import bags",
     target="rn_recorder_runs.command:Runs",
+    section="group",
 )
 """Descriptor of the command."""
 
 CHECK_POLICY = CommandSpec(
-    name="check-policy",
+    name="policy-check",
+    group="policy",
     summary="ask a policy for recorded frames and say what is probably wired wrong",
     target="rn_recorder_policy.command:CheckPolicy",
 )

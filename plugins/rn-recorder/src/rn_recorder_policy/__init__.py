@@ -1,1 +1,1 @@
-"""Comparison of a deployed policy with recorded actions: the command `roboneuron check-policy`."""
+"""Comparison of a deployed policy with recorded actions: the command `roboneuron policy check`."""

@@ -1,4 +1,4 @@
-"""The command `roboneuron check-policy`."""
+"""The command `roboneuron policy check`."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class CheckPolicy:
     """
 
     def configure(self, parser: ArgumentParser) -> None:
-        """Add the arguments of `roboneuron check-policy`."""
+        """Add the arguments of `roboneuron policy check`."""
         add = parser.add_argument
         add(
             "--dataset",
@@ -73,7 +73,7 @@ class CheckPolicy:
         add("--json", action="store_true", help="for programs")
 
     def run(self, arguments: Namespace) -> int:
-        """Run `roboneuron check-policy`; status 1 if there is a probable error."""
+        """Run `roboneuron policy check`; status 1 if there is a probable error."""
         from rn_recorder_policy.report import show
 
         report = check_policy(arguments)
@@ -176,7 +176,7 @@ def _build(settings: Config, arguments: Namespace) -> DeployedBackend:
         if section.python is not None and Path(section.python) != Path(sys.executable):
             raise ConfigurationError(
                 f"The backend runs under {section.python}, this command under {sys.executable}.",
-                hint=f"Run {Path(section.python).with_name('roboneuron')} check-policy.",
+                hint=f"Run {Path(section.python).with_name('roboneuron')} policy check.",
             )
         checkpoint = checkpoint or section.checkpoint
         runtime = runtime or section.runtime

@@ -123,10 +123,11 @@ def roboneuron_perceptions() -> Sequence[PerceptionSpec]:
 
 @hookimpl
 def roboneuron_commands() -> Sequence[CommandSpec]:
-    """The command `roboneuron fr3`."""
+    """The command `roboneuron robot fr3`."""
     return [
         CommandSpec(
-            name="fr3",
+            name="robot-fr3",
+            group="robot",
             summary="check whether this machine and its network can control a real FR3",
             target="rn_robot_fr3.fci.check_command:Fr3",
         )

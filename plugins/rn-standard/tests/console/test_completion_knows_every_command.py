@@ -14,7 +14,8 @@ import pytest
 
 from rn_standard.console.completion import SHELLS
 from rn_standard.console.parsers import whole_parser
-from roboneuron.cli.main import all_commands, main
+from roboneuron.cli.listing import all_commands
+from roboneuron.cli.main import main
 from roboneuron.plugins.discovery import discover
 
 
@@ -65,7 +66,9 @@ printf '%s\\n' "${COMPREPLY[@]}"
         (["status", "--w"], {"--watch"}),
         (["run", "--max-"], {"--max-s", "--max-attempts"}),
         (["config", "sh"], {"show"}),
-        (["plugins", ""], {"list", "show", "check"}),
+        (["plugins", ""], {"list", "show", "check", "new"}),
+        (["ros", ""], {"describe", "learn"}),
+        (["robot", "cameras", ""], {"calibrate"}),
     ],
 )
 def test_bash_completes_words(

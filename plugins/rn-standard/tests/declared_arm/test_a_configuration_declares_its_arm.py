@@ -1,4 +1,4 @@
-"""`[robot.arm]`: an arm without a package, by the same way as `roboneuron new robot --urdf`."""
+"""`[robot.arm]`: an arm without a package, read as by `roboneuron plugins new robot --urdf`."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def refusal(folder: Path, more: str) -> str:
 def written_profile(folder: Path, monkeypatch: pytest.MonkeyPatch) -> RobotProfile:
     """The profile of the package that the command writes for the same URDF."""
     made = folder / "made"
-    words = ["new", "robot", "mine", "--urdf", str(folder / "sample.urdf")]
+    words = ["plugins", "new", "robot", "mine", "--urdf", str(folder / "sample.urdf")]
     assert main([*words, "--driver", "ros2-control", "--directory", str(made)]) == 0
     monkeypatch.syspath_prepend(str(made / "src"))
     profile = importlib.import_module("rn_robot_mine.profile").build_profile()

@@ -1,4 +1,4 @@
-"""What `roboneuron new robot --urdf` takes for base, TCP, joints and gripper, or refuses."""
+"""What `roboneuron plugins new robot --urdf` takes for base, TCP, joints, gripper, or refuses."""
 
 from __future__ import annotations
 

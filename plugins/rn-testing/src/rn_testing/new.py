@@ -1,4 +1,4 @@
-"""The command `roboneuron new`: creates a plugin package of a kind from templates."""
+"""The command `roboneuron plugins new`: creates a plugin package of a kind from templates."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class New:
     """Write a plugin package of one of the kinds; it passes its own contract tests as written."""
 
     def configure(self, parser: ArgumentParser) -> None:
-        """Add the arguments of `roboneuron new`."""
+        """Add the arguments of `roboneuron plugins new`."""
         parser.add_argument(
             "kind", choices=NEW_KINDS, metavar="KIND", help=f"one of {', '.join(NEW_KINDS)}"
         )

@@ -110,9 +110,10 @@ def _driver_lines(driver: DriverSpec) -> str:
 def _real_steps(name: str, driver_name: str | None, driver: RealDriver | None) -> str:
     if driver is None:
         return (
-            "No driver was named. `roboneuron new robot ... --driver ros2-control` names one that\n"
-            "exists; for a library of the manufacturer write a class with the five methods of\n"
-            "`roboneuron.RobotDriver`, as `roboneuron new robot NAME` without a URDF shows."
+            "No driver was named. `roboneuron plugins new robot ... --driver ros2-control` names\n"
+            "one that exists; for a library of the manufacturer write a class with the five\n"
+            "methods of `roboneuron.RobotDriver`, as `roboneuron plugins new robot NAME` without\n"
+            "a URDF shows."
         )
     [needed] = driver.spec.requires
     steps = driver.steps.replace("NAME", name)

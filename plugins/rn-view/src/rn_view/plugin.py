@@ -14,6 +14,7 @@ FEATURE = FeatureSpec(
 
 COMMAND = CommandSpec(
     name="view",
+    section="operate",
     summary="show the robot of a running server in a browser; the server needs no view",
     target="rn_view_attached.command:ViewCommand",
 )

@@ -1,20 +1,29 @@
 """The `roboneuron` command: runs one command of core or of a plugin, and shows deliberate errors in
 one sentence.
-
-A command named `plugins-list` is used as `roboneuron plugins list`: its group, then its action.
 """
 
 from __future__ import annotations
 
 import os
 import sys
-from argparse import SUPPRESS, ArgumentParser, Namespace, RawDescriptionHelpFormatter
-from collections.abc import Sequence
-from dataclasses import dataclass
-from importlib import import_module
-from typing import NamedTuple, Protocol, cast
+from argparse import (
+    SUPPRESS,
+    ArgumentParser,
+    RawDescriptionHelpFormatter,
+    _SubParsersAction,
+)
+from collections.abc import Iterable, Sequence
 
 from roboneuron import __version__
+from roboneuron.cli.listing import (
+    COMMANDS,
+    CommandModule,
+    ListedCommand,
+    all_commands,
+    group_names,
+    present_words,
+    top_level,
+)
 from roboneuron.cli.terminal import (
     EXIT_USAGE,
     accept_any_text,
@@ -23,126 +32,23 @@ from roboneuron.cli.terminal import (
     show_error,
     with_verbosity_behind,
 )
-from roboneuron.errors import MissingDependencyError, PluginError, nearest
+from roboneuron.errors import ConfigurationError, MissingDependencyError, nearest
 from roboneuron.plugins.availability import install_command, known_names, package_of
 from roboneuron.plugins.discovery import discover
-from roboneuron.plugins.loading import load_target
-from roboneuron.plugins.registry import Registry, Status
-from roboneuron.plugins.specs import CommandSpec
+from roboneuron.plugins.registry import Registry
 from roboneuron.ros.installation import keep_apart
 
-
-class Command(NamedTuple):
-    """Module of a core command and its one-line summary."""
-
-    module: str
-    summary: str
-
-
-class CommandModule(Protocol):
-    """Interface of a core command's module, and of a plugin's command object."""
-
-    def configure(self, parser: ArgumentParser) -> None:
-        """Add the command's arguments to its parser."""
-
-    def run(self, arguments: Namespace) -> int:
-        """Run the command and return the exit status; `main` shows a RoboNeuronError and ends with
-        status 2.
-        """
-
-
-COMMANDS: dict[str, Command] = {
-    "serve": Command(
-        "roboneuron.cli.serve", "serve MCP tools for a robot (an agent's client starts this)"
-    ),
-    "estop": Command("roboneuron.estop.command", "stop all motion now, with or without a server"),
-}
-"""Command by name, in the order of `roboneuron --help`."""
-GROUPS = ("config", "plugins")
-"""Words before the actions of several commands."""
 _MOST_PORT = 65535
-
-
-def spoken(name: str) -> str:
-    """A command's name on the command line."""
-    return name.replace("-", " ", 1) if name.partition("-")[0] in GROUPS else name
-
-
-def named_command(words: Sequence[str]) -> tuple[str, list[str]]:
-    """Split a command line into the name of its command and the remaining words.
-
-    Options may stand between a group and its action: `plugins --config FILE list`.
-    """
-    name, *own = words
-    actions = [
-        i
-        for i, word in enumerate(own)
-        if not word.startswith("-") and own[i - 1 : i] != ["--config"]
-    ]
-    if name not in GROUPS or not actions:
-        return name, own
-    return f"{name}-{own.pop(actions[0])}", own
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class ListedCommand:
-    """A command that can be run here.
-
-    Attributes:
-        name: as its plugin offers it.
-        summary: one line.
-        registry: the installed plugins; None for a command of the core.
-    """
-
-    name: str
-    summary: str
-    registry: Registry | None
-
-    @property
-    def words(self) -> str:
-        """Its name on the command line."""
-        return spoken(self.name)
-
-    def load(self) -> CommandModule:
-        """Import it.
-
-        Raises:
-            ConfigurationError: no installed plugin offers it, or the plugin is unusable, with the
-                reason.
-            PluginError, MissingDependencyError: it cannot be loaded.
-        """
-        if self.registry is None:
-            return cast(CommandModule, import_module(COMMANDS[self.name].module))
-        target = load_target(self.registry.get(CommandSpec, self.name))
-        if not callable(target):
-            raise PluginError(
-                f"The target of command {self.name!r} is {target!r}, expected a class."
-            )
-        command = target()
-        if not (
-            callable(getattr(command, "configure", None))
-            and callable(getattr(command, "run", None))
-        ):
-            raise PluginError(
-                f"The command {self.name!r} is {command!r}, expected the methods configure and run."
-            )
-        return cast(CommandModule, command)
-
-
-def all_commands(registry: Registry) -> tuple[ListedCommand, ...]:
-    """The core's commands and the usable ones of plugins; one with the name of a core command is
-    left out.
-    """
-    own = [
-        ListedCommand(name=name, summary=command.summary, registry=None)
-        for name, command in COMMANDS.items()
-    ]
-    installed = [
-        ListedCommand(name=offer.spec.name, summary=offer.spec.summary, registry=registry)
-        for offer in registry.offers("command")
-        if offer.status is Status.READY and offer.spec.name not in COMMANDS
-    ]
-    return (*own, *installed)
+_ABOUT = (
+    "Typed MCP tools and supervised closed loops between LLM agents, ROS 2 robots and VLA models."
+)
+_HEADINGS = {
+    "start": "start",
+    "operate": "operate a robot",
+    "group": "groups of commands",
+    "": "more",
+}
+"""Headings of `roboneuron --help` by section."""
 
 
 def configure(
@@ -166,16 +72,32 @@ def configure(
         add_installed(parser)
 
 
-def run_command(command: CommandModule, prog: str, words: Sequence[str]) -> int:
+def own_actions(parser: ArgumentParser) -> _SubParsersAction[ArgumentParser] | None:
+    """The actions that a command declares itself; None without any."""
+    return next((a for a in parser._actions if isinstance(a, _SubParsersAction)), None)
+
+
+def run_command(
+    command: CommandModule,
+    prog: str,
+    words: Sequence[str],
+    others: Iterable[ListedCommand] = (),
+) -> int:
     """Parse the words after `prog`, run the command and return its exit status.
 
     Args:
         command: configures the parser, and runs.
         prog: name of the command in its help.
         words: the remaining words of the command line.
+        others: commands that plugins add to the group of this name; the command's own actions
+            come first.
     """
     parser = ArgumentParser(prog=prog, description=command.__doc__)
     configure(command, parser, words)
+    if actions := own_actions(parser):
+        for other in others:
+            if other.word not in actions.choices:
+                actions.add_parser(other.word, help=other.summary)
     arguments = parser.parse_args(words)
     port = getattr(arguments, "port", 0)  # of several commands
     if isinstance(port, int) and not 0 <= port <= _MOST_PORT:
@@ -191,35 +113,53 @@ def build_parser(registry: Registry, group: str = "") -> ArgumentParser:
 
     Args:
         registry: the installed plugins.
-        group: one of `GROUPS`, or empty for all commands.
+        group: of `group_names`, or empty for the top level.
 
     Raises:
         MissingDependencyError: no installed package has an action of the group.
     """
-    listed = {
-        command.words: command.summary
-        for command in all_commands(registry)
-        if command.words.startswith(f"{group} ".lstrip())
-    }
-    if not listed:
-        bringing = {p for n, p in known_names("command").items() if spoken(n).startswith(group)}
+    commands = all_commands(registry)
+    if group:
+        rows = sorted((c.words, c.summary) for c in commands if c.group == group)
+        sections = {"commands": rows}
+        last = f"`roboneuron {group} ACTION --help` explains one of them."
+    else:
+        sections = {_HEADINGS[name]: rows for name, rows in top_level(commands).items()}
+        last = "`roboneuron COMMAND --help` explains a command, or lists those of a group."
+    if group and not rows:
+        bringing = {p for n, p in known_names("command").items() if n.startswith(f"{group}-")}
         raise MissingDependencyError(
             f"No installed package has an action of `roboneuron {group}`.",
             hint=f"Run: {install_command(*sorted(bringing))}.",
         )
-    width = max(len(name) for name in listed)
-    table = "\n".join(f"  {name:<{width}}  {summary}" for name, summary in listed.items())
+    width = max(len(name) for rows in sections.values() for name, _ in rows)
+    tables = "\n\n".join(
+        "\n".join([f"{heading}:", *(f"  {name:<{width}}  {summary}" for name, summary in rows)])
+        for heading, rows in sections.items()
+    )
     parser = ArgumentParser(
         prog="roboneuron",
         usage=f"roboneuron {group or 'COMMAND'} {'ACTION ' if group else ''}[options]",
-        description="Typed MCP tools and supervised closed loops between LLM agents, ROS 2 robots "
-        "and VLA models.",
-        epilog=f"commands:\n{table}\n\n`roboneuron COMMAND --help` explains one of them.",
+        description=None if group else _ABOUT,
+        epilog=f"{tables}\n\n{last}",
         formatter_class=RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--version", action="version", version=f"roboneuron {__version__}")
+    if not group:
+        parser.add_argument("--version", action="version", version=f"roboneuron {__version__}")
     parser.add_argument("command", metavar="COMMAND", nargs="?", help=SUPPRESS)
     return parser
+
+
+def split_action(words: Sequence[str]) -> tuple[str, list[str]]:
+    """The action of a group in the words after it, empty without one, and the other words.
+
+    Options may stand before it: `plugins --config FILE list`.
+    """
+    own = list(words)
+    for i, word in enumerate(own):
+        if not word.startswith("-") and own[i - 1 : i] != ["--config"]:
+            return own.pop(i), own
+    return "", own
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -230,37 +170,77 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     accept_any_text()
     words = with_verbosity_behind(sys.argv[1:] if argv is None else argv)
-    name, own = named_command(words) if words else ("", [])
-    if not name or name.startswith("-") or name in GROUPS:
-        is_group = name in GROUPS
-        try:
-            parser = build_parser(discover(), name if is_group else "")
-        except MissingDependencyError as error:
-            return show_error(error)
-        parser.parse_args(own if is_group else words)  # --help and --version end here
-        parser.print_help(sys.stderr)
-        return EXIT_USAGE
-    registry = None if name in COMMANDS else discover()  # core's own commands need no plugin
-    if (
-        registry is not None
-        and all(offer.spec.name != name for offer in registry.offers("command"))
-        and package_of("command", name) is None
-    ):
-        names = [*(command.words for command in all_commands(registry)), *GROUPS]
-        meant = nearest(spoken(name), names, f"Choose one of: {', '.join(names)}.")
-        print(f"roboneuron: There is no command {spoken(name)!r}. {meant}", file=sys.stderr)
-        return EXIT_USAGE
     try:
-        if argv is None and name != "estop":  # must work whatever else is wrong
-            keep_apart(own)
-        command = ListedCommand(name=name, summary="", registry=registry)
-        return run_command(command.load(), f"roboneuron {command.words}", own)
+        if not words or words[0].startswith("-"):
+            return _show_help(build_parser(discover()), words)
+        if words[0] in COMMANDS:  # core's own commands need no plugin
+            command = ListedCommand(name=words[0], summary="", registry=None)
+            return _run(command, words[1:], is_typed=argv is None)
+        return _run_of_plugin(words, is_typed=argv is None)
     except BrokenPipeError:  # the reader of the output has closed it, as `| head` does
         sys.stderr.close()
         return os.EX_OK
     # the border to the user of the command
     except (Exception, KeyboardInterrupt, BaseExceptionGroup) as error:
         return show_error(error)
+
+
+def _show_help(parser: ArgumentParser, words: Sequence[str]) -> int:
+    """Answer a command line without a command, or a group without an action."""
+    parser.parse_args(words)  # --help and --version end here
+    parser.print_help(sys.stderr)
+    return EXIT_USAGE
+
+
+def _run(
+    command: ListedCommand,
+    words: Sequence[str],
+    others: Iterable[ListedCommand] = (),
+    *,
+    is_typed: bool,
+) -> int:
+    if is_typed and command.name != "estop":  # must work whatever else is wrong
+        keep_apart(words)
+    return run_command(command.load(), f"roboneuron {command.words}", words, others)
+
+
+def _run_of_plugin(words: Sequence[str], *, is_typed: bool) -> int:
+    """Run a command that a plugin brings, on the top level or in a group."""
+    registry = discover()
+    offered = {offer.spec.name for offer in registry.offers("command")}
+    groups = group_names(registry)
+    words, told = present_words(words, offered | groups)
+    if told:
+        print(f"roboneuron: {told}", file=sys.stderr)
+    first, *own = words
+    action, rest = split_action(own) if first in groups else ("", own)
+    name = f"{first}-{action}" if action else ""
+    others = [command for command in all_commands(registry) if command.group == first]
+    main_command = ListedCommand(name=first, summary="", registry=registry)
+    if _is_known(name, offered) and not (first in offered and _is_own(action, main_command)):
+        command = ListedCommand(name=name, summary="", registry=registry, group=first)
+        return _run(command, rest, is_typed=is_typed)
+    if first in offered or (_is_known(first, offered) and (action or not others)):
+        return _run(main_command, own, others, is_typed=is_typed)
+    if first in groups and not action:
+        return _show_help(build_parser(registry, first), own)
+    names = [command.words for command in all_commands(registry)]
+    typed = f"{first} {action}".rstrip()
+    meant = nearest(typed, [*names, *groups], f"Choose one of: {', '.join(sorted(names))}.")
+    raise ConfigurationError(f"There is no command {typed!r}. {meant}")
+
+
+def _is_known(name: str, offered: Iterable[str]) -> bool:
+    """True for a command of an installed plugin, or of a package of the project."""
+    return name in offered or package_of("command", name) is not None
+
+
+def _is_own(action: str, command: ListedCommand) -> bool:
+    """True if a command declares that action itself."""
+    parser = ArgumentParser(add_help=False)
+    command.load().configure(parser)
+    actions = own_actions(parser)
+    return actions is not None and action in actions.choices
 
 
 if __name__ == "__main__":

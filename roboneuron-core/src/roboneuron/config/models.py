@@ -60,7 +60,7 @@ class RobotConfig(ModuleSection):
     )
     cameras: dict[CameraName, CameraConfig] = Field(
         default_factory=dict,
-        description="measured calibration of a camera, by `roboneuron cameras calibrate`",
+        description="measured calibration of a camera, by `roboneuron robot cameras calibrate`",
     )
     arm: ArmConfig | None = Field(default=None, description="an arm that no plugin offers")
 

@@ -12,8 +12,10 @@ from typing import Any, Union, get_args, get_origin, get_type_hints
 
 from roboneuron.errors import PluginError, shortened
 from roboneuron.plugins.specs import (
+    COMMAND_SECTIONS,
     VERB_ENDS,
     BackendSpec,
+    CommandSpec,
     FeatureSpec,
     Loadable,
     RobotSpec,
@@ -74,6 +76,8 @@ def check_spec(spec: object, expected: type[Spec]) -> Spec:
         _check_feature(spec, who)
     if isinstance(spec, BackendSpec):
         _check_verbs(spec, who)
+    if isinstance(spec, CommandSpec):
+        _check_command(spec, who)
     return spec
 
 
@@ -138,6 +142,22 @@ def _check_verbs(spec: BackendSpec, who: str) -> None:
             bool(verb.words) and all(word and word == word.lower() for word in verb.words),
             f"A verb of {who} has the words {verb.words!r}, expected lower-case words.",
         )
+
+
+def _check_command(spec: CommandSpec, who: str) -> None:
+    _require(
+        not spec.group
+        or (
+            NAME_PATTERN.fullmatch(spec.group) is not None
+            and spec.name.startswith(f"{spec.group}-")
+        ),
+        f"{who} is in the group {spec.group!r}, so its name has to begin with '{spec.group}-'.",
+    )
+    _require(
+        spec.section in COMMAND_SECTIONS and not (spec.group and spec.section),
+        f"The section of {who} is {spec.section!r}, expected one of "
+        f"{', '.join(filter(None, COMMAND_SECTIONS))}, or none; a command of a group has none.",
+    )
 
 
 def _check_unique(names: Iterable[str], who: str) -> None:

@@ -118,7 +118,7 @@ def roboneuron_commands() -> Sequence[CommandSpec]:  # type: ignore[empty-body]
     """Offer commands of `roboneuron`.
 
     `target` is a class without arguments that follows the protocol
-    `roboneuron.cli.main.CommandModule`: `configure` adds its arguments to a parser, `run`
+    `roboneuron.cli.listing.CommandModule`: `configure` adds its arguments to a parser, `run`
     returns the exit status. It is imported only when the command is used.
     """
 

@@ -9,7 +9,7 @@ model class whose fields are the options under `[plugins.<name>]`, or None witho
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from roboneuron.plugins.module_kind import ModuleKindSpec
 
@@ -353,13 +353,22 @@ class CommandSpec(Spec):
 
     Attributes:
         brings: as in FeatureSpec.
+        group: word before the command's own, of an existing group (robot, runs, policy, ros, link,
+            config, plugins, eval) or a new one; `name` is "GROUP-WORD" then, used as `roboneuron
+            GROUP WORD`. Empty: a command of the top level.
+        section: of `roboneuron --help`, for a command of the top level: "start", "operate", "group"
+            (it has commands of its own), or empty for the last one.
     """
 
     kind: ClassVar[str] = "command"
 
     brings: str | None = None
+    group: str = ""
+    section: str = ""
 
 
+COMMAND_SECTIONS = ("start", "operate", "group", "")
+"""Values of `CommandSpec.section`, in the order of `roboneuron --help`."""
 PLUGIN_KINDS: dict[str, type[Spec]] = {
     spec.kind: spec
     for spec in (
@@ -375,26 +384,3 @@ PLUGIN_KINDS: dict[str, type[Spec]] = {
     )
 }
 """Descriptor class by kind, for core's kinds; a feature may add more."""
-SCHEMA_KEY = "x-configuration-only"
-"""Key in the JSON schema of a marked option, with the value true."""
-
-
-@dataclass(frozen=True, slots=True)
-class ConfigurationOnly:
-    """Marks an option that only the configuration may set: a host, a file, a command, a variable.
-
-    `url: Annotated[str, ConfigurationOnly()]`. An option without a mark counts as restricted if its
-    type or name indicates such a value; `AgentMaySet()` lifts that. The feature through which
-    agents set options applies this; `agent_options` of `[selection]` lists exceptions for admins.
-    """
-
-    def __get_pydantic_json_schema__(self, schema: Any, handler: Any) -> dict[str, Any]:
-        """Set the mark in the option's JSON schema."""
-        return {**handler(schema), SCHEMA_KEY: True}
-
-
-@dataclass(frozen=True, slots=True)
-class AgentMaySet:
-    """Marks an option whose type or name looks restricted, but that refers to nothing outside of
-    the plugin.
-    """

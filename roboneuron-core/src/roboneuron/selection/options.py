@@ -48,7 +48,7 @@ class NamedModelOptions(Section):
 
 
 class HostOptions(Section):
-    """`[hosts.<name>]`: a machine that serves policies (`roboneuron serve-policy`)."""
+    """`[hosts.<name>]`: a machine that serves policies (`roboneuron policy serve`)."""
 
     address: str = Field(description="host:port; a name of `roboneuron link` too")
     backend: core_models.Name = Field(

@@ -18,7 +18,7 @@ from types import UnionType
 from typing import TYPE_CHECKING, Annotated, Literal, TypeGuard, Union, get_args, get_origin
 
 from roboneuron.plugins.loading import old_keys
-from roboneuron.plugins.specs import AgentMaySet, ConfigurationOnly
+from roboneuron.plugins.option_marks import AgentMaySet, ConfigurationOnly
 
 if TYPE_CHECKING:
     from pydantic import BaseModel

@@ -35,7 +35,7 @@ from roboneuron import foreign
 from roboneuron.contract.arrays import F64
 from roboneuron.contract.locator import CalibratedImage, LocatedObject
 from roboneuron.errors import ConfigurationError, ForeignDataError, StateError
-from roboneuron.plugins.specs import ConfigurationOnly
+from roboneuron.plugins.option_marks import ConfigurationOnly
 from roboneuron.sight.boxes import ImageDetection, place_detections
 from roboneuron.sight.endpoint import HttpEndpoint
 

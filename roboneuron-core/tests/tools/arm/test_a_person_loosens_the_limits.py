@@ -84,7 +84,7 @@ def test_nobody_but_a_person_loosens(make: Make, agrees: str | None) -> None:
     call(application, "tighten_limits", max_speed_m_s=0.1)
     with pytest.raises(RefusedError, match="Only a person") as caught:
         call(application, "loosen_limits", agrees)
-    assert "roboneuron limits --loosen" in caught.value.hint
+    assert "roboneuron robot limits --loosen" in caught.value.hint
     assert application.host.loop.limits.max_speed_m_s == 0.1
 
 

@@ -181,7 +181,7 @@ def test_the_file_keeps_who_and_when_and_says_when_it_is_damaged(tmp_path: Path)
         file.path.write_text(text)
         with pytest.raises(ConfigurationError, match="cannot be read") as caught:
             file.read()
-        assert "roboneuron limits --loosen" in caught.value.hint
+        assert "roboneuron robot limits --loosen" in caught.value.hint
 
 
 def test_a_file_that_cannot_be_written_is_an_error(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""The command `roboneuron cubes-policy flow`: the same skill as a flow policy in pi0's layout."""
+"""The command `roboneuron policy cubes flow`: the same skill as a flow policy in pi0's layout."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ FLOW_DIRECTORY = Path("out/train-flow")
 
 
 def configure_flow(parser: ArgumentParser) -> None:
-    """Add the arguments of `roboneuron cubes-policy flow`."""
+    """Add the arguments of `roboneuron policy cubes flow`."""
     actions = parser.add_subparsers(
         dest="flow_action", required=True, metavar="ACTION", help="action to run"
     )
@@ -42,7 +42,7 @@ def configure_flow(parser: ArgumentParser) -> None:
 
 
 def run_flow(arguments: Namespace) -> int:
-    """Run `roboneuron cubes-policy flow`."""
+    """Run `roboneuron policy cubes flow`."""
     match arguments.flow_action:
         case "train":
             return _train(arguments)

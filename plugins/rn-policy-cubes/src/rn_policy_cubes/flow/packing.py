@@ -68,7 +68,7 @@ class FlowPacked:
             if card is None:
                 raise ConfigurationError(
                     f"{path} holds no packed flow policy.",
-                    hint="Pack one: roboneuron cubes-policy flow pack --to FILE",
+                    hint="Pack one: roboneuron policy cubes flow pack --to FILE",
                 )
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - no mapping
         return cls(FlowCard.model_validate_json(card), tensors)
@@ -93,7 +93,7 @@ def pack_flow(directory: Path) -> FlowPacked:
     path = directory / STATE_FILE
     if not path.exists():
         raise ConfigurationError(
-            f"{directory} holds no training.", hint="Start one: roboneuron cubes-policy flow train"
+            f"{directory} holds no training.", hint="Start one: roboneuron policy cubes flow train"
         )
     saved = torch.load(path, map_location="cpu", weights_only=True)
     recipe = FlowRecipe.model_validate(saved["recipe"])

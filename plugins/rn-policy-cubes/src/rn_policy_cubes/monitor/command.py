@@ -1,4 +1,4 @@
-"""`roboneuron cubes-policy monitor`: train, calibrate and judge the monitor of success."""
+"""`roboneuron policy cubes monitor`: train, calibrate and judge the monitor of success."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ _TRAINED, _PACKED = "trained.safetensors", "cubes-monitor.safetensors"
 
 
 def configure_monitor(parser: ArgumentParser) -> None:
-    """Add the arguments of `roboneuron cubes-policy monitor`."""
+    """Add the arguments of `roboneuron policy cubes monitor`."""
     steps = parser.add_subparsers(dest="step", required=True, metavar="STEP", help="what to do")
     for name, text in (
         ("train", "record episodes, train, and choose the thresholds, or continue"),
@@ -74,7 +74,7 @@ def configure_monitor(parser: ArgumentParser) -> None:
 
 
 def run_monitor(arguments: Namespace) -> int:
-    """Run `roboneuron cubes-policy monitor`."""
+    """Run `roboneuron policy cubes monitor`."""
     if not 0.0 < arguments.share <= 1.0:
         raise ConfigurationError(
             f"--share is {arguments.share:g}, expected more than 0 and up to 1."

@@ -47,7 +47,7 @@ class SuccessOptions(BaseModel):
         default="", description="of the cube to be lifted; as the instruction says when empty"
     )
     weights: Annotated[str, ConfigurationOnly()] = Field(
-        default="", description="file of `cubes-policy monitor train`; the shipped one when empty"
+        default="", description="file of `policy cubes monitor train`; the shipped one when empty"
     )
 
 

@@ -70,6 +70,6 @@ def shipped_monitor() -> Path:
     if not path.exists():
         raise ConfigurationError(
             "This build of rn-policy-cubes has no weights of the monitor.",
-            hint="Train them: roboneuron cubes-policy monitor train",
+            hint="Train them: roboneuron policy cubes monitor train",
         )
     return path

@@ -1,4 +1,4 @@
-"""The command `roboneuron fr3`."""
+"""The command `roboneuron robot fr3`."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class Fr3:
     """Check whether this machine and its network can control a real Franka Research 3."""
 
     def configure(self, parser: ArgumentParser) -> None:
-        """Add the arguments of `roboneuron fr3`."""
+        """Add the arguments of `roboneuron robot fr3`."""
         actions = parser.add_subparsers(
             dest="action", required=True, metavar="ACTION", help="what to do"
         )
@@ -35,7 +35,7 @@ class Fr3:
         check.add_argument("--json", action="store_true", help="write the findings as JSON")
 
     def run(self, arguments: Namespace) -> int:
-        """Run `roboneuron fr3 check`."""
+        """Run `roboneuron robot fr3 check`."""
         from rn_robot_fr3.fci.check import SystemFiles, check_machine
         from rn_robot_fr3.fci.network_check import check_network
 

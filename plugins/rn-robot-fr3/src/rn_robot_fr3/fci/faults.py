@@ -131,8 +131,8 @@ def from_errors(errors: Iterable[str], mode: str) -> ArmFault:
             message=f"the arm counted a jump in its commands ({listed}). The driver sends none: "
             "packets came late, "
             "twice or out of order.",
-            hint="Give the robot a network card of its own without a switch, run roboneuron fr3 "
-            f"check, {_RECOVER}.",
+            hint="Give the robot a network card of its own without a switch, run roboneuron robot "
+            f"fr3 check, {_RECOVER}.",
         )
     return ArmFault(
         code="reflex",

@@ -10,11 +10,11 @@ SHELLS = ("bash", "zsh", "fish")
 class Completion:
     """Print a script that completes the commands and options of `roboneuron` in a shell.
 
-    bash: roboneuron completion bash > ~/.local/share/bash-completion/completions/roboneuron -- zsh:
-        roboneuron
-    completion zsh > ~/.zfunc/_roboneuron (a folder in fpath) -- fish: roboneuron completion fish >
-    ~/.config/fish/completions/roboneuron.fish. Commands of installed plugins are in it: print it
-    again after installing or removing one. No Python is started while completing.
+    bash: roboneuron completion bash > ~/.local/share/bash-completion/completions/roboneuron --
+    zsh: roboneuron completion zsh > ~/.zfunc/_roboneuron (a folder in fpath) -- fish: roboneuron
+    completion fish > ~/.config/fish/completions/roboneuron.fish. Commands of installed plugins
+    are in it: print it again after installing or removing one. No Python is started while
+    completing.
     """
 
     def configure(self, parser: ArgumentParser) -> None:

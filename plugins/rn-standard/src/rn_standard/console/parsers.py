@@ -27,26 +27,32 @@ def whole_parser() -> ArgumentParser:
         "--version", action="store_true", help="show program's version number and exit"
     )
     commands = parser.add_subparsers(dest="command")
-    groups: dict[str, _SubParsersAction[ArgumentParser]] = {}
-    for listed in all_commands(discover()):
+    # a group's own command comes first: the others are added to its actions
+    for listed in sorted(all_commands(discover()), key=lambda one: one.words):
         try:
             module = listed.load()
         except RoboNeuronError as error:
-            log.warning("The command %s is left out: %s", listed.name, error)
+            log.warning("The command %s is left out: %s", listed.words, error)
             continue
-        group, _, word = listed.words.rpartition(" ")
-        if group and group not in groups:
-            groups[group] = commands.add_parser(group, help=ONLY_ACTIONS).add_subparsers(
-                dest="action"
+        holder = _actions_of(listed.group, commands) if listed.group else commands
+        if listed.word not in holder.choices:
+            command = holder.add_parser(
+                listed.word, help=listed.summary, description=module.__doc__
             )
-        holder = groups.get(group, commands)
-        command = holder.add_parser(word, help=listed.summary, description=module.__doc__)
-        configure(module, command)
+            configure(module, command)
     for action in _actions(parser):
         if action.type is Path and not action.choices:
             is_folder = action.metavar in _FOLDERS
             action.complete = shtab.DIRECTORY if is_folder else shtab.FILE  # type: ignore[attr-defined]
     return parser
+
+
+def _actions_of(
+    group: str, commands: _SubParsersAction[ArgumentParser]
+) -> _SubParsersAction[ArgumentParser]:
+    parser = commands.choices.get(group) or commands.add_parser(group, help=ONLY_ACTIONS)
+    own = next((a for a in parser._actions if isinstance(a, _SubParsersAction)), None)
+    return own or parser.add_subparsers(dest="action")
 
 
 def _actions(parser: ArgumentParser) -> Iterator[Action]:

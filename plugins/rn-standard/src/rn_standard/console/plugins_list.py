@@ -149,12 +149,20 @@ def print_short(registry: Registry) -> None:
 
 
 def _grouped(names: Sequence[str]) -> list[str]:
-    """Commands of one group written once: "config check", "config show" -> "config check|show"."""
+    """Commands of one group written once: "config check", "config show" -> "config check|show".
+    A command with the group's own name stays before them.
+    """
     groups: dict[str, list[str]] = {}
     for name in names:
         group, _, action = name.partition(" ")
         groups.setdefault(group, []).extend([action] if action else [])
-    return [f"{group} {'|'.join(actions)}".rstrip() for group, actions in groups.items()]
+    found: list[str] = []
+    for group, actions in groups.items():
+        if group in names:
+            found.append(group)
+        if actions:
+            found.append(f"{group} {'|'.join(actions)}")
+    return found
 
 
 def print_table(registry: Registry) -> None:

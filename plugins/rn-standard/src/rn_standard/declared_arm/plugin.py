@@ -12,6 +12,7 @@ FEATURE = FeatureSpec(
 """Descriptor of the feature."""
 COMMAND = CommandSpec(
     name="config-arm",
+    group="config",
     summary="say what the URDF of [robot.arm] gives, and what was guessed",
     target="rn_standard.declared_arm.command:ConfigArm",
 )

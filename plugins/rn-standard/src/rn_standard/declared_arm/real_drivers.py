@@ -84,7 +84,7 @@ _REAL = (
             recovers=True,
         ),
         options='host = "172.16.0.2"',
-        steps="Write the arm's address under `[plugins.NAME]`; `roboneuron fr3` checks it.",
+        steps="Write the arm's address under `[plugins.NAME]`; `roboneuron robot fr3` checks it.",
     ),
 )
 REAL_DRIVERS = {driver.spec.name: driver for driver in _REAL}

@@ -69,8 +69,8 @@ class OutOfService:
             rank="service",
             rule=NAME,
             message=f"{self}.",
-            hint="A person puts it back in service on the page or with `roboneuron maintenance "
-            "--end`. Wait, or ask that person.",
+            hint="A person puts it back in service on the page or with `roboneuron robot "
+            "maintenance --end`. Wait, or ask that person.",
         )
 
 
@@ -159,7 +159,7 @@ class MaintenanceFeature(Feature[None]):
     latched.
 
     There is no tool for it: an agent can neither begin nor end it. People use the page or
-    `roboneuron maintenance`.
+    `roboneuron robot maintenance`.
     """
 
     _watch: Periodic | None = None

@@ -1,4 +1,4 @@
-"""The command `roboneuron maintenance`."""
+"""The command `roboneuron robot maintenance`."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Maintenance:
     """
 
     def configure(self, parser: ArgumentParser) -> None:
-        """Add the arguments of `roboneuron maintenance`."""
+        """Add the arguments of `roboneuron robot maintenance`."""
         state_folder.add_arguments(parser)
         action = parser.add_mutually_exclusive_group()
         action.add_argument("--begin", metavar="WHY", help="take it out of service")
@@ -26,7 +26,7 @@ class Maintenance:
         )
 
     def run(self, arguments: Namespace) -> int:
-        """Run `roboneuron maintenance`.
+        """Run `roboneuron robot maintenance`.
 
         Raises:
             ConfigurationError: the robot is unknown, or the file of --config cannot be read.

@@ -43,7 +43,8 @@ MAINTENANCE = FeatureSpec(
 """Descriptor of the feature that refuses what acts while the robot is out of service."""
 
 MAINTENANCE_COMMAND = CommandSpec(
-    name="maintenance",
+    name="robot-maintenance",
+    group="robot",
     summary="take the robot out of service, or put it back",
     target="rn_standard.ops.maintenance_command:Maintenance",
 )
@@ -53,6 +54,7 @@ COMMAND = CommandSpec(
     name="doctor",
     summary="check whether this machine and a configuration are ready",
     target="rn_standard.doctor.command:Doctor",
+    section="start",
 )
 """Descriptor of the command."""
 

@@ -54,7 +54,7 @@ def _check_light(case: CommandCase) -> None:
     )
 
 
-_SOURCE = "roboneuron.cli.main.CommandModule"
+_SOURCE = "roboneuron.cli.listing.CommandModule"
 
 RULES: tuple[Rule[CommandCase], ...] = (
     Rule(

@@ -20,7 +20,7 @@ _AXES = ("x", "y", "z")
 _PLAY_M = 5e-4
 _FAR_M = 10.0
 """Farther from the base than any arm reaches."""
-LOOSEN = "A person can loosen them (loosen_limits, or: roboneuron limits --loosen)."
+LOOSEN = "A person can loosen them (loosen_limits, or: roboneuron robot limits --loosen)."
 
 
 def check_near(place_m: F64, path: str) -> None:

@@ -1,4 +1,4 @@
-"""The command `roboneuron limits`: show tightened limits, and loosen them by a person at a
+"""The command `roboneuron robot limits`: show tightened limits, and loosen them by a person at a
 terminal.
 """
 
@@ -16,15 +16,15 @@ class Limits:
     """Show the limits that clients have tightened, and loosen them."""
 
     def configure(self, parser: ArgumentParser) -> None:
-        """Add the arguments of `roboneuron limits`."""
+        """Add the arguments of `roboneuron robot limits`."""
         state_folder.add_arguments(parser)
         parser.add_argument(
             "--loosen", action="store_true", help="return to the configured limits; asks for a yes"
         )
 
     def run(self, arguments: Namespace) -> int:
-        """Run `roboneuron limits`; exit status 1 if the person did not agree, or a file cannot be
-        read.
+        """Run `roboneuron robot limits`; exit status 1 if the person did not agree, or a file
+        cannot be read.
 
         Raises:
             ConfigurationError: the robot is unknown, or the file of --config cannot be read.

@@ -265,7 +265,7 @@ async def _ask(host: Host, context: CallContext) -> None:
     why = "this client cannot ask one" if agreed is None else "the person did not agree"
     raise RefusedError(
         f"Only a person loosens the limits, and {why}. They stay.",
-        hint="Ask a person to run, in a terminal on this machine: roboneuron limits --loosen "
+        hint="Ask a person to run, in a terminal on this machine: roboneuron robot limits --loosen "
         "--state "
         f"{host.state_directory}",
         rule="person",

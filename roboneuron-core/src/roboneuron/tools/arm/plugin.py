@@ -32,7 +32,8 @@ STOP_MOTION = FeatureSpec(
 """Descriptor of the feature that ends motions."""
 
 COMMAND = CommandSpec(
-    name="limits",
+    name="robot-limits",
+    group="robot",
     summary="show the limits that clients have tightened, and loosen them",
     target="roboneuron.tools.arm.limits_command:Limits",
 )

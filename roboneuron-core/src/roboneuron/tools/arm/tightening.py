@@ -161,7 +161,7 @@ class TighteningFile:
         except ForeignDataError as error:
             raise ConfigurationError(
                 f"The tightened limits in {self.path} cannot be read: {error}.",
-                hint="A person writes them anew: roboneuron limits --loosen.",
+                hint="A person writes them anew: roboneuron robot limits --loosen.",
             ) from error
 
     def write(self, record: TightenedRecord) -> None:

@@ -1,4 +1,4 @@
-"""The command `roboneuron describe`."""
+"""The command `roboneuron ros describe`."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Describe:
     """
 
     def configure(self, parser: ArgumentParser) -> None:
-        """Arguments of `roboneuron describe`."""
+        """Arguments of `roboneuron ros describe`."""
         parser.add_argument(
             "type",
             metavar="TYPE",
@@ -47,7 +47,7 @@ class Describe:
             return 0
         if arguments.type is None:
             raise ConfigurationError(
-                "No type was given.", hint="Try `roboneuron describe geometry_msgs/msg/Twist`."
+                "No type was given.", hint="Try `roboneuron ros describe geometry_msgs/msg/Twist`."
             )
         parts = parts_of(load_interface(arguments.type))
         if arguments.json:

@@ -13,7 +13,8 @@ FEATURE = FeatureSpec(
 )
 """Descriptor of the feature."""
 COMMAND = CommandSpec(
-    name="describe",
+    name="ros-describe",
+    group="ros",
     summary="show a ROS interface as agents see it, or list the installed ones",
     target="roboneuron.tools.ros.describe:Describe",
 )

@@ -1,4 +1,4 @@
-"""`roboneuron describe`: text for people, schemas for programs, one sentence for mistakes."""
+"""`roboneuron ros describe`: text for people, schemas for programs, one sentence for mistakes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from roboneuron.cli.main import main
 def test_a_message_is_shown_with_types_bounds_and_choices(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    assert main(["describe", "sensor_msgs/NavSatFix"]) == 0
+    assert main(["ros", "describe", "sensor_msgs/NavSatFix"]) == 0
     text = capsys.readouterr().out
     assert "sensor_msgs/msg/NavSatFix (message)" in text
     assert "position_covariance: double[9]" in text
@@ -20,14 +20,14 @@ def test_a_message_is_shown_with_types_bounds_and_choices(
 
 
 def test_a_service_is_shown_in_both_halves(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["describe", "std_srvs/srv/SetBool", "--json"]) == 0
+    assert main(["ros", "describe", "std_srvs/srv/SetBool", "--json"]) == 0
     schemas = json.loads(capsys.readouterr().out)
     assert set(schemas) == {"request", "response"}
     assert schemas["request"]["required"] == ["data"]
 
 
 def test_the_installed_interfaces_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["describe", "--list", "std_srvs"]) == 0
+    assert main(["ros", "describe", "--list", "std_srvs"]) == 0
     assert capsys.readouterr().out.split() == [
         "std_srvs/srv/Empty",
         "std_srvs/srv/SetBool",
@@ -37,5 +37,5 @@ def test_the_installed_interfaces_are_listed(capsys: pytest.CaptureFixture[str])
 
 @pytest.mark.parametrize("words", [["geometry_msgs/Twits"], [], ["--list", "nothing"], ["../etc"]])
 def test_mistakes_end_in_one_sentence(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["describe", *words]) == 2
+    assert main(["ros", "describe", *words]) == 2
     assert capsys.readouterr().err.startswith("roboneuron: ")
