@@ -39,7 +39,7 @@ def main() -> int:
         )
         command = [sys.executable, "-m", "roboneuron.cli.main", "demo", "--config", str(config)]
         return subprocess.run(
-            [*command, "--output", str(arguments.output), *more], check=False
+            [*command, "--out", str(arguments.output), *more], check=False
         ).returncode
 
 

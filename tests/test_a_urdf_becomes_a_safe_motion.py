@@ -58,7 +58,7 @@ def project(tmp_path: Path, request: pytest.FixtureRequest) -> Path:
     urdf = write(tmp_path / "arm" / "urdf", *arm_of(*getattr(request, "param", ("revolute", 6))))
     project = tmp_path / "rn-robot-mine"
     words = ["plugins", "new", "robot", "mine", "--urdf", str(urdf), "--driver", "none"]
-    assert main([*words, "--directory", str(project)]) == 0
+    assert main([*words, "--out", str(project)]) == 0
     info = project / "src" / "rn_robot_mine-0.1.0.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.4\nName: rn-robot-mine\nVersion: 0.1.0\n")

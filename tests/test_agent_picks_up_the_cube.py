@@ -16,7 +16,7 @@ def demo(
     environment: dict[str, str], output: Path, *arguments: str
 ) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-m", "roboneuron.cli.main", "demo", "--output", str(output), *arguments],
+        [sys.executable, "-m", "roboneuron.cli.main", "demo", "--out", str(output), *arguments],
         env=environment,
         capture_output=True,
         text=True,

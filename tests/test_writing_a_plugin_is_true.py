@@ -25,7 +25,7 @@ STRICT = ("-W", "error")
 def test_the_plugin_of_the_page_keeps_its_contract(tmp_path):
     command = next(line for line in PAGE.splitlines() if line.startswith("roboneuron plugins new"))
     project = tmp_path / "rn-backend-nod"
-    assert main([*command.split()[1:], "--directory", str(project)]) == 0
+    assert main([*command.split()[1:], "--out", str(project)]) == 0
     files = re.findall(r"<!-- file: (\S+) -->\n```python\n(.*?)```", PAGE, flags=re.DOTALL)
     assert len(files) == 3
     for name, text in files:

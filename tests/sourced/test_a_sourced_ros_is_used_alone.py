@@ -304,7 +304,7 @@ def test_the_demo_runs_in_that_shell(
     shown = [str(venv / "bin" / "roboneuron"), "config", "show"]
     text = subprocess.run(shown, env=shell, capture_output=True, text=True, timeout=60, check=True)
     config.write_text(f'{text.stdout}\n[ros]\ninstallation = "{installation}"\n')
-    arguments = f"--config {config} --output {tmp_path / 'out'}"
+    arguments = f"--config {config} --out {tmp_path / 'out'}"
     made = [f"VENV={venv.name}", f"--old-file={venv.name}/.demo", "demo", f"ARGS={arguments}"]
     ended = subprocess.run(
         in_sourced_shell("make", "-C", str(ROOT), *made),

@@ -166,7 +166,7 @@ def test_topics_and_configured_cameras_are_listed(drivers, tmp_path, monkeypatch
     monkeypatch.setattr(devices, "SYSTEM", tmp_path)
     options = 'topic = "/usb_cam/image_raw"\nstamp = "arrival"'
     config(tmp_path / "a.toml", "ros-camera", "front", options)
-    words = ["list", "--json", "--config", str(tmp_path / "a.toml"), "--output", str(tmp_path)]
+    words = ["list", "--json", "--config", str(tmp_path / "a.toml"), "--out", str(tmp_path)]
     parser = argparse.ArgumentParser()
     cameras = command.Cameras()
     cameras.configure(parser)

@@ -294,7 +294,7 @@ def test_a_round_that_is_killed_at_any_time_ends_as_one_that_is_not(
 ) -> None:
     words = [sys.executable, "-P", "-m", "roboneuron.cli.main", "policy", "cubes", "improve"]
     words += ["--weights", str(weights), "--shards", "2", "--rollouts", "1", "--views", "10"]
-    words += ["--steps", "4", "--seeds", "2", "--time-limit", "1"]
+    words += ["--steps", "4", "--seeds", "2", "--max-s", "1"]
     words += [f"--set={name}={value}" for name, value in SETTINGS.items()]
 
     def begin(name: str) -> subprocess.Popen[bytes]:

@@ -45,10 +45,7 @@ def new(tmp_path: Path, *words: str) -> Path:
     made = tmp_path / "made"
     urdf = str(tmp_path / "sample.urdf")
     assert (
-        main(
-            ["plugins", "new", "robot", "sample", "--urdf", urdf, "--directory", str(made), *words]
-        )
-        == 0
+        main(["plugins", "new", "robot", "sample", "--urdf", urdf, "--out", str(made), *words]) == 0
     )
     return made
 
@@ -159,7 +156,7 @@ def test_meshes_are_copied_and_count_for_distances(tmp_path, monkeypatch, name, 
     elements = [e.replace(BALL, mesh) for e in ARM]
     urdf = write(tmp_path / "urdf", *elements)
     made = tmp_path / "made"
-    words = ["plugins", "new", "robot", "sample", "--urdf", str(urdf), "--directory", str(made)]
+    words = ["plugins", "new", "robot", "sample", "--urdf", str(urdf), "--out", str(made)]
     assert main([*words, "--package-path", str(tmp_path / "elsewhere")]) == 0
     (tmp_path / place).unlink()  # the package stands alone
     profile = profile_of(made, monkeypatch)

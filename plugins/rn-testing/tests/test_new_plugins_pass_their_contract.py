@@ -146,7 +146,7 @@ def test_a_new_plugin_is_formatted_and_free_of_lint(tmp_path):
 
 
 def test_new_says_what_to_do_next(tmp_path, capsys):
-    assert main(["plugins", "new", "backend", "my-policy", "--directory", str(tmp_path / "p")]) == 0
+    assert main(["plugins", "new", "backend", "my-policy", "--out", str(tmp_path / "p")]) == 0
     out = capsys.readouterr().out
     assert "rn-backend-my-policy" in out
     assert "roboneuron plugins check my-policy" in out
@@ -161,6 +161,6 @@ def test_new_refuses_names_that_cannot_be(name, tmp_path):
 
 def test_new_never_writes_into_a_directory_that_holds_something(tmp_path, capsys):
     (tmp_path / "kept.txt").write_text("mine")
-    assert main(["plugins", "new", "backend", "my-policy", "--directory", str(tmp_path)]) == 2
+    assert main(["plugins", "new", "backend", "my-policy", "--out", str(tmp_path)]) == 2
     assert "exists and is not empty" in capsys.readouterr().err
     assert [p.name for p in tmp_path.iterdir()] == ["kept.txt"]

@@ -74,10 +74,10 @@ WRONG = [
     (("call", "get_status", "--url", "http://127.0.0.1:9/mcp"), 2, "Nobody answers"),
     (("call", "get_status", "--url", "http://127.0.0.1:99999/mcp"), 2, "port must be 0-65535"),
     (("call", "get_status", "--url", "nonsense"), 2, "does not answer as one"),
-    (("demo", "--output", "/proc/no-such"), 2, "/proc/no-such: No such file or directory."),
+    (("demo", "--out", "/proc/no-such"), 2, "/proc/no-such: No such file or directory."),
     (("demo", "--config", "/no/such.toml"), 2, "/no/such.toml"),
     (
-        ("plugins", "new", "backend", "x", "--directory", "/proc/no-such"),
+        ("plugins", "new", "backend", "x", "--out", "/proc/no-such"),
         2,
         "/proc/no-such: No such file or directory.",
     ),
@@ -96,8 +96,8 @@ def test_a_command_that_cannot_be_done_says_why(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     output = ()
-    if words[0] == "demo" and "--output" not in words:
-        output = ("--output", str(tmp_path / "out"))
+    if words[0] == "demo" and "--out" not in words:
+        output = ("--out", str(tmp_path / "out"))
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     assert main([*words, *output]) == status
     assert reason in one_line(capsys.readouterr().err)
@@ -138,7 +138,7 @@ def test_an_instruction_without_an_object_ends_the_demo_with_one_line(
         "demo",
         "--instruction",
         "make me a coffee",
-        "--output",
+        "--out",
         str(tmp_path),
         PYTHONIOENCODING="ascii",
         XDG_STATE_HOME=str(tmp_path / "state"),

@@ -65,6 +65,26 @@ def test_error_names_file_key_and_what_is_valid(text: str, expected: str) -> Non
     assert expected in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("text", "place"),
+    [
+        ("action_timeout_s = 1.0\n", "[control]"),  # [robot] is the table before it
+        ("[server]\nstate_directory = 'x'\n", "[supervisor]"),  # of core
+        ("[server]\nrecord = true\n", "[recorder]"),  # of a feature with one section
+        ("[http]\nmax_step_m = 0.1\n", "[limits]"),  # in a feature's section
+        ("[server]\nport = 1\n", "[http], [metrics], [view]"),
+        ("[server]\nname = 'x'\nzzz = 1\n", None),
+    ],
+)
+def test_a_key_in_the_wrong_section_is_answered_with_the_right_one(
+    text: str, place: str | None
+) -> None:
+    with pytest.raises(ConfigurationError) as caught:
+        parse_config('[robot]\nname = "fr3"\n' + text)
+    assert ("is a key of" in caught.value.hint) == (place is not None)
+    assert place is None or f"is a key of {place}." in caught.value.hint
+
+
 def test_names_that_only_share_letters_are_not_suggested() -> None:
     with pytest.raises(ConfigurationError) as caught:
         parse_config(MINIMAL + "[inference]\nbackend = 'servo'\noptions = { gain = 1 }\n")

@@ -48,7 +48,7 @@ def test_reference_agents_and_one_that_never_ends(tmp_path: Path, environment: d
     evaluate(folder, environment, "--subject", "perfect,hostile", "--tasks", "pick-colour")
     marker = str(tmp_path / "hangs")
     hangs = f"hangs=sh -c 'touch {marker}; sleep 1000 & echo CLAIM: done; wait'"
-    options = ("--subject-command", hangs, "--tasks", "move-by", "--time-limit-s", "3")
+    options = ("--subject-command", hangs, "--tasks", "move-by", "--max-s", "3")
     other = tmp_path / "hanging"
     evaluate(other, environment, *options)
     example = tmp_path / "my_agent.py"

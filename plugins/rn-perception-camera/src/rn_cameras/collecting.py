@@ -64,7 +64,7 @@ class Collector:
             self._tell(
                 f"{self._folder.path} holds {earlier} pictures and "
                 f"{len(self._measured.corners)} corners of before, which count too. Name another "
-                "--output if camera or board has been moved since."
+                "--out if camera or board has been moved since."
             )
         self._tell(
             {

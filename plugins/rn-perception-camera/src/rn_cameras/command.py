@@ -46,7 +46,7 @@ class Cameras:
         listing = actions.add_parser("list", help="every camera, with a picture of each")
         _add_config(listing, "a roboneuron.toml, for the configured cameras")
         listing.add_argument(
-            "--output", type=Path, default=Path("cameras"), help="folder for the pictures"
+            "--out", type=Path, default=Path("cameras"), help="folder for the pictures"
         )
         listing.add_argument("--json", action="store_true", help="for programs")
         board = actions.add_parser("board", help="print the board that calibrate looks for")
@@ -75,7 +75,7 @@ class Cameras:
             help="use the pictures of this folder instead of taking some",
         )
         calibrate.add_argument(
-            "--output", type=Path, metavar="DIR", help="folder for new pictures; calibration-NAME"
+            "--out", type=Path, metavar="DIR", help="folder for new pictures; calibration-NAME"
         )
         calibrate.add_argument(
             "--corner",
@@ -164,7 +164,7 @@ def _list(arguments: Namespace) -> int:
     from rn_cameras import listing
     from rn_cameras.live import joined
 
-    folder: Path = arguments.output
+    folder: Path = arguments.out
     folder.mkdir(parents=True, exist_ok=True)
     path = arguments.config or (CONFIG if CONFIG.exists() else None)
     config = None if path is None else load_config(path)
@@ -206,9 +206,7 @@ def _calibrate(arguments: Namespace, board: Board) -> int:
             f"Robot {profile.name!r} has no camera {arguments.name!r}; its cameras are {names}."
         )
     mount, forward = _kinematics(config, registry, profile, arguments)
-    folder = PictureFolder(
-        arguments.images or arguments.output or Path(f"calibration-{camera.name}")
-    )
+    folder = PictureFolder(arguments.images or arguments.out or Path(f"calibration-{camera.name}"))
     if corners := dict(arguments.corner):
         if len(corners) < 3:
             raise InvalidInputError(f"--corner tells {len(corners)} corners, 3 are needed.")

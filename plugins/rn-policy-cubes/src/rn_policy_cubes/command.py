@@ -110,7 +110,7 @@ def _configure_improve(parser: ArgumentParser) -> None:
         metavar="NAME=VALUE",
         help="evaluate on scenes with this option too, as of `roboneuron eval run`; repeatable",
     )
-    add("--time-limit", type=float, default=30.0, metavar="S", help="of a scene [s] (default: 30)")
+    add("--max-s", type=float, default=30.0, metavar="S", help="of a scene [s] (default: 30)")
     add(
         "--margin",
         type=float,
@@ -136,7 +136,7 @@ def _improve(arguments: Namespace) -> int:
             rollouts=arguments.rollouts,
             views=arguments.views,
             seeds=arguments.seeds,
-            time_limit_s=arguments.time_limit,
+            time_limit_s=arguments.max_s,
             suite_options=tuple(arguments.suite_option),
             margin=arguments.margin,
         )

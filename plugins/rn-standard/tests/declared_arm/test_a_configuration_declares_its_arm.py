@@ -56,7 +56,7 @@ def written_profile(folder: Path, monkeypatch: pytest.MonkeyPatch) -> RobotProfi
     """The profile of the package that the command writes for the same URDF."""
     made = folder / "made"
     words = ["plugins", "new", "robot", "mine", "--urdf", str(folder / "sample.urdf")]
-    assert main([*words, "--driver", "ros2-control", "--directory", str(made)]) == 0
+    assert main([*words, "--driver", "ros2-control", "--out", str(made)]) == 0
     monkeypatch.syspath_prepend(str(made / "src"))
     profile = importlib.import_module("rn_robot_mine.profile").build_profile()
     assert isinstance(profile, RobotProfile)

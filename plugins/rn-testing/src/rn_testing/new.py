@@ -41,7 +41,7 @@ class New:
             "name", metavar="NAME", help="name by which users select it, such as my-policy"
         )
         parser.add_argument(
-            "--directory", type=Path, metavar="DIR", help="directory to create (./rn-KIND-NAME)"
+            "--out", type=Path, metavar="DIR", help="directory to create (./rn-KIND-NAME)"
         )
         _add_arm_arguments(parser)
 
@@ -49,7 +49,7 @@ class New:
         """Write the package and print the next steps."""
         kind, name = arguments.kind, arguments.name
         distribution = f"rn-{PREFIXES[kind]}-{name}"
-        directory = arguments.directory or Path(distribution)
+        directory = arguments.out or Path(distribution)
         arm = _read_arm(arguments, directory)
         driver = None if arguments.driver == "none" else arguments.driver
         written = write_package(kind, name, directory, arm, driver)
@@ -174,7 +174,7 @@ def _check_writable(name: str, directory: Path) -> None:
         )
     if directory.exists() and (not directory.is_dir() or any(directory.iterdir())):
         raise ConfigurationError(
-            f"{directory} exists and is not empty.", hint="Choose another one with --directory."
+            f"{directory} exists and is not empty.", hint="Choose another one with --out."
         )
 
 

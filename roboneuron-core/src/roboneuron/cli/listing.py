@@ -30,6 +30,15 @@ OLD_NAMES = {
 }
 """Present words of commands by their old name, which is accepted until `OLD_NAMES_END`."""
 
+OLD_OPTIONS = {
+    "demo": {"--output": "--out"},
+    "eval": {"--time-limit-s": "--max-s"},
+    "plugins new": {"--directory": "--out"},
+    "policy cubes": {"--time-limit": "--max-s"},
+    "robot cameras": {"--output": "--out"},
+}
+"""Present options by their old name, by the words of their command; accepted as `OLD_NAMES`."""
+
 
 class Command(NamedTuple):
     """Module of a core command, its one-line summary, and its section in `roboneuron --help`."""
@@ -188,3 +197,23 @@ def present_words(words: Sequence[str], commands: Iterable[str]) -> tuple[list[s
         f"`roboneuron {words[0]}` is called `roboneuron {now}` now; the old name is accepted until "
         f"{OLD_NAMES_END}."
     )
+
+
+def present_options(command: str, words: Sequence[str]) -> tuple[list[str], list[str]]:
+    """The words after a command with present options, and a sentence about each old one.
+
+    Args:
+        command: its words.
+        words: the words after it.
+    """
+    old = OLD_OPTIONS.get(command, {})
+    found, told = [], []
+    for word in words:
+        option, is_set, value = word.partition("=")
+        now = old.get(option)
+        found.append(word if now is None else f"{now}{is_set}{value}")
+        if now is not None:
+            told.append(
+                f"{option} is called {now} now; the old name is accepted until {OLD_NAMES_END}."
+            )
+    return found, told

@@ -21,6 +21,7 @@ from roboneuron.cli.listing import (
     ListedCommand,
     all_commands,
     group_names,
+    present_options,
     present_words,
     top_level,
 )
@@ -201,6 +202,9 @@ def _run(
 ) -> int:
     if is_typed and command.name != "estop":  # must work whatever else is wrong
         keep_apart(words)
+    words, told = present_options(command.words, words)
+    for sentence in told:
+        print(f"roboneuron: {sentence}", file=sys.stderr)
     return run_command(command.load(), f"roboneuron {command.words}", words, others)
 
 

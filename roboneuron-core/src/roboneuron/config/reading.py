@@ -6,8 +6,9 @@ ones.
 
 from __future__ import annotations
 
+import re
 from argparse import Namespace
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -16,13 +17,19 @@ from pydantic import BaseModel
 
 from roboneuron import foreign
 from roboneuron.config.models import Config, ModuleSection
-from roboneuron.errors import ConfigurationError, ForeignDataError
+from roboneuron.errors import (
+    ConfigurationError,
+    ForeignDataError,
+    MissingDependencyError,
+    PluginError,
+)
 from roboneuron.plugins.availability import package_of
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.loading import (
     explain_unknown,
     load_attribute,
     load_options_model,
+    option_names,
     read_table,
 )
 from roboneuron.plugins.registry import Registry
@@ -35,6 +42,10 @@ _MOST_BYTES = 1 << 20
 _STDIO = "stdio"
 """The transport without an address."""
 M = TypeVar("M", bound=BaseModel)
+_UNKNOWN = re.compile(r"unknown key '([^']*)'\. Valid keys")
+"""A problem of `read_table` that names no similar key."""
+_MOST_PLACES = 3
+"""Sections that are worth naming; `start_timeout_s` is in more."""
 _PLUGIN_OPTIONS = "Options of a plugin stand under [plugins.<name>]."
 KEYS = frozenset(
     name for name, field in Config.model_fields.items() if not field.exclude and name != "modules"
@@ -311,8 +322,28 @@ def _checked(model: type[M], values: object, source: str, place: str = "") -> M:
     made, problems = read_table(model, values, place)
     if made is None:
         told = "\n".join(f"{source}: {problem}" for problem in problems)
-        raise ConfigurationError(told, hint=_PLUGIN_OPTIONS if "Valid keys" in told else "")
+        strange = [key for problem in problems for key in _UNKNOWN.findall(problem)]
+        hint = " ".join([*_places_of(strange), _PLUGIN_OPTIONS]) if strange else ""
+        raise ConfigurationError(told, hint=hint)
     return made
+
+
+def _places_of(strange: Sequence[str]) -> Iterator[str]:
+    """Yield the sections that have an unknown key, for each key that some section has."""
+    sections = {name: option_names(Config, [name]) for name in KEYS}
+    for spec in discover().specs(FeatureSpec).values():
+        try:
+            model = load_options_model(spec)
+        except (PluginError, MissingDependencyError):
+            continue  # explained where that feature is used
+        for name in spec.keys if model is not None else ():
+            path = [name] if spec.sections else []
+            sections[name] = option_names(cast("type[BaseModel]", model), path)
+    for key in strange:
+        word = key.rpartition(".")[2]
+        places = sorted(f"[{name}]" for name, keys in sections.items() if word in keys)
+        if 0 < len(places) <= _MOST_PLACES:
+            yield f"{word!r} is a key of {', '.join(places)}."
 
 
 def transport_feature(transport: str, registry: Registry) -> FeatureSpec:

@@ -37,7 +37,7 @@ def configure(parser: ArgumentParser) -> None:
     add("--tasks", type=names, default=(), metavar="A,B", help="single tasks")
     add("--seeds", type=int, default=1, help="episodes of each task and agent (default: 1)")
     add("--seed", type=int, default=0, help="the first seed (default: 0)")
-    add("--time-limit-s", type=float, default=0.0, help="end every agent after so long at most")
+    add("--max-s", type=float, default=0.0, help="end every agent after so long at most")
     add(
         "--transport",
         choices=("stdio", "http"),
@@ -126,7 +126,7 @@ def _plan(arguments: Namespace) -> AgentPlan:
     if arguments.resume is not None:
         plan = read_plan_of(arguments.resume, AgentPlan)
     else:
-        if arguments.seeds < 1 or arguments.seed < 0 or arguments.time_limit_s < 0:
+        if arguments.seeds < 1 or arguments.seed < 0 or arguments.max_s < 0:
             raise ConfigurationError("--seeds must be at least 1; --seed and limits at least 0.")
         commands = dict(_named(text) for text in arguments.subject_command)
         subjects = (*arguments.subject, *commands)
@@ -141,7 +141,7 @@ def _plan(arguments: Namespace) -> AgentPlan:
             tasks=tuple(chosen_tasks(registry, arguments.families, arguments.tasks)),
             seeds=arguments.seeds,
             first_seed=arguments.seed,
-            time_limit_s=arguments.time_limit_s,
+            time_limit_s=arguments.max_s,
             transport=arguments.transport,
             time=arguments.time,
         )

@@ -37,7 +37,7 @@ class Demo:
             "--max-s", type=float, default=90.0, help="give up after this long (default 90)"
         )
         parser.add_argument(
-            "--output", type=Path, default=Path("out/demo"), help="where film and log go"
+            "--out", type=Path, default=Path("out/demo"), help="where film and log go"
         )
         parser.add_argument(
             "--config",
@@ -63,7 +63,7 @@ class Demo:
             seed=seed,
             gui=arguments.gui,
             max_s=arguments.max_s,
-            output=arguments.output,
+            output=arguments.out,
             config=_configuration(arguments),
         )
         return run_paced(lambda pace: run_demo(options, Console(highlight=False), pace))
@@ -84,4 +84,4 @@ def _configuration(arguments: Namespace) -> Path | None:
             "The learned policy is not installed.",
             hint=f"Run: {install_command('rn-policy-cubes')}.",
         ) from error
-    return shipped_configuration(arguments.output)
+    return shipped_configuration(arguments.out)
