@@ -40,8 +40,9 @@ def test_its_exit_statuses_are_those_of_run(root: Path) -> None:
 def test_its_prose_names_the_packages_of_commands_that_requirements_lack(root: Path) -> None:
     page = (root / "docs" / "command-line.md").read_text(encoding="utf-8").partition("\n## ")[0]
     listed = (root / "requirements.txt").read_text(encoding="utf-8").splitlines()
+    groups = ("plugins", "policy", "robot")
     others = {
-        name.replace("-", " ", 1) if name.startswith("plugins-") else name: package
+        name.replace("-", " ", 1) if name.partition("-")[0] in groups else name: package
         for name, package in known_names("command").items()
         if f"./plugins/{package}" not in listed
     }
