@@ -4,7 +4,6 @@ cut or covered, and whoever leads sees the arm and every camera.
 
 from __future__ import annotations
 
-import re
 import socket
 import threading
 from collections.abc import Callable
@@ -17,6 +16,7 @@ from view_fakes import FakeSource, MaintenanceSwitch, joints, picture, profile
 from view_page import wait_until
 
 from rn_view.diagnostics.alarms import AlarmBook
+from rn_view.page import robot_area
 from rn_view.sources.records import RobotRecords
 from rn_view.web.view_server import ViewServer
 from roboneuron.feature import AuditLog
@@ -129,31 +129,22 @@ def test_nothing_is_cut_or_covered_in_any_state(
 
 
 def test_a_page_that_stays_empty_reloads_itself(
-    serve: Callable[..., ViewServer], browser: Any, source: FakeSource
+    serve: Callable[..., ViewServer],
+    browser: Any,
+    source: FakeSource,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.setattr(robot_area, "RELOAD_S", 3.0)
     may_load = threading.Event()
     source.profile = lambda: may_load.wait(120) and profile()  # type: ignore[assignment,method-assign]
     context = browser.new_context(viewport={"width": 700, "height": 500})
     page = context.new_page()
     page.set_default_timeout(120_000)
-    loads: list[str] = []
-
-    def sooner(route: Any) -> None:
-        answer = route.fetch()
-        text = answer.text()
-        if not loads:
-            text = re.sub(r'"reload_s": [\d.]+', '"reload_s": 3', text)
-        loads.append(route.request.url)
-        route.fulfill(response=answer, body=text)
-
     try:
-        url = f"{serve().url}/"
-        page.route(url, sooner)
-        page.goto(url)
+        page.goto(f"{serve().url}/")
         page.get_by_text("Waiting for the robot ...").wait_for()
         with page.expect_event("load"):
             pass
-        assert len(loads) == 2
         may_load.set()
         page.locator("#rn-lead-open").wait_for()
         page.locator("#rn-wait:not([hidden]):not(.note)").wait_for(state="detached")

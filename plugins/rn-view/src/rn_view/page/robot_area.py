@@ -15,7 +15,7 @@ from rn_view.web.page_requests import PICTURES_PATH, UNKNOWN_KEY
 _KEY_ID = "rn-page-key"
 SHOWN = "data-rn-shown"
 """Attribute of an element that viser shows once the page is built."""
-_RELOAD_S = 60.0
+RELOAD_S = 60.0
 """Time after which a page without content is reloaded; twice as long after each try. A browser that
 draws on a busy processor needs up to 40 s.
 """
@@ -37,7 +37,7 @@ def with_robot_area(page: str, *, is_live: bool) -> str:
         "pictures": PICTURES_PATH,
         "protocol": PROTOCOL,
         "state": STATE_PATH,
-        "reload_s": _RELOAD_S,
+        "reload_s": RELOAD_S,
         "old_s": _OLD_S,
         "live": is_live,
     }
