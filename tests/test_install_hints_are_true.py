@@ -198,7 +198,8 @@ def test_commands_fit_the_way_of_this_installation(
 def test_no_hint_takes_a_package_of_the_project_from_an_index() -> None:
     lines = installs()
     assert len(lines) > 20
-    for page, line in lines:
+    for page, whole in lines:
+        line = re.sub(r"\./rn-[a-z]+-my-\S+", "", whole)  # a package that the reader has made
         words = re.split(r"[#`]", line)[0]
         bare = re.findall(r"(?<![\w./-])(?:rn-[a-z0-9-]+|roboneuron-core)", words)
         assert not bare, f"{page}: {line}"

@@ -57,7 +57,7 @@ def test_its_configurations_are_accepted(page: str) -> None:
 
 
 def test_its_setups_and_limits_are_those_of_the_command(page: str) -> None:
-    calibrate = ["cameras", "calibrate", "front", "--setup"]
+    calibrate = ["robot", "cameras", "calibrate", "front", "--setup"]
     setups = re.findall(
         r"^ *\| `([a-z][a-z-]+)` \|", page.partition("written into")[0], re.MULTILINE
     )

@@ -44,7 +44,7 @@ def test_the_unit_runs_this_interpreter_with_that_file(
     unit.read_string(capsys.readouterr().out)
     words = [word.replace("%%", "%") for word in shlex.split(unit["Service"]["ExecStart"])]
     assert words[:5] == [sys.executable, "-m", "roboneuron.cli.main", "policy", "serve"]
-    assert command_of(words[4:]) == str(config)
+    assert command_of(words[5:]) == str(config)
     assert unit["Service"]["Type"] == "notify"
 
 
@@ -97,7 +97,7 @@ def test_the_container_file_installs_and_runs_what_is_there(
     by_name = {name: rest for name, _, rest in steps}
     entry = json.loads(by_name["ENTRYPOINT"])
     assert entry[:3] == ["roboneuron", "policy", "serve"]
-    assert command_of(entry[2:]) == "/etc/policies.toml"
+    assert command_of(entry[3:]) == "/etc/policies.toml"
     assert int(by_name["EXPOSE"]) == ListenOptions().port
     assert by_name["USER"] != "0"
     # its script with a pip that prints its arguments, and wheels with RoboNeuron's names
