@@ -113,7 +113,7 @@ def attack(port: int) -> dict[str, Any]:
         "url": f"ws://127.0.0.1:{port}",
         "api_key_variable": VARIABLE,
         "allow_insecure_key": True,
-        "connect_timeout_s": 3.0,
+        "start_timeout_s": 3.0,
     }
 
 
@@ -137,9 +137,7 @@ def test_a_server_token_is_not_in_the_environment_of_modules(
         f'[plugins.openpi]\nurl = "ws://127.0.0.1:{listener.port}"\napi_key_variable = '
         f'"{VARIABLE}"\n'
     )
-    answer = start(
-        environment, tmp_path, {"profile": "libero", "connect_timeout_s": 3.0}, more=more
-    )
+    answer = start(environment, tmp_path, {"profile": "libero", "start_timeout_s": 3.0}, more=more)
     assert answer.is_error
     assert f"The environment variable '{VARIABLE}' (api_key_variable) is not set." in text_of(
         answer
@@ -154,7 +152,7 @@ def test_an_admin_may_set_what_the_configuration_lists(
     options = {
         "profile": "libero",
         "url": f"ws://127.0.0.1:{listener.port}",
-        "connect_timeout_s": 3.0,
+        "start_timeout_s": 3.0,
     }
     answer = start(environment, tmp_path, options, selection='agent_options = ["openpi.url"]')
     assert answer.is_error  # the listener is no policy server
