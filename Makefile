@@ -15,6 +15,8 @@ JOBS ?= 2
 # Many of these tests wait for something, so more of them than cores run at a time.
 UNIT_JOBS ?= 4
 ROS_JOBS ?= 3
+# A ROS test that failed runs once more, and the summary names it: a rerun is a fault to look into.
+RERUN := --reruns 1 --rerun-show-tracebacks -raR
 
 DEMO_PACKAGES := $(shell sed -n 's|^\./||p' requirements.txt)
 FLEET_PACKAGES := plugins/rn-robot-bases
@@ -81,7 +83,7 @@ HERE := not sourced and not peers and not gpu and not hardware and not slow and 
 DEFAULT := not exhaustive and $(HERE)
 EXHAUSTIVE := exhaustive and $(HERE)
 UNITS = -n $(UNIT_JOBS) --dist worksteal --max-worker-restart=0
-ROS = -n $(ROS_JOBS) --dist loadfile --no-loadscope-reorder --max-worker-restart=0
+ROS = -n $(ROS_JOBS) --dist loadfile --no-loadscope-reorder --max-worker-restart=0 $(RERUN)
 
 test: test-units test-ros ## the default test suite, in two lanes: units and ROS; test-timing is a third
 
@@ -99,7 +101,7 @@ test-ros: $(VENV)/.develop ## its tests with ROS processes, ROS_JOBS at a time
 	$(BIN)/python -m pytest $(ROS) -m "ros and not timing and $(DEFAULT)" $(ROS_TESTS) $(ARGS)
 
 test-timing: $(VENV)/.develop ## tests that judge how soon something happens, one at a time: let nothing run beside them
-	$(BIN)/python -m pytest -m "ros and timing and $(HERE)" $(ROS_TESTS) $(ARGS)
+	$(BIN)/python -m pytest $(RERUN) -m "ros and timing and $(HERE)" $(ROS_TESTS) $(ARGS)
 
 test-exhaustive: test-exhaustive-units test-exhaustive-ros ## further cases of what the default suite shows, in the same two lanes
 
@@ -191,6 +193,6 @@ $(VENV)/.develop: $(PROJECTS) | $(BIN)/python
 	$(call install,every plugin,--constraint constraints.txt $(addprefix --editable ,$(WITH_EXTRAS)))
 	-$(call install,types of ros2_control (compiled),--constraint constraints.txt $(addprefix --editable ,$(COMPILED)))
 	$(call install,tools for tests and checks,--constraint constraints.txt \
-	  pytest pytest-timeout pytest-xdist deptry hypothesis ruff mypy types-psutil jsonschema types-jsonschema psutil build hatchling editables auditwheel nox towncrier \
+	  pytest pytest-timeout pytest-xdist pytest-rerunfailures deptry hypothesis ruff mypy types-psutil jsonschema types-jsonschema psutil build hatchling editables auditwheel nox towncrier \
 	  ros-jazzy-test-msgs transformers mujoco franky-control 'pylibfranka; python_version < "3.13"' ruckig playwright rosbags)
 	@touch $@ $(VENV)/.nox $(VENV)/.demo $(VENV)/.demo-fr3 $(VENV)/.demo-learned $(VENV)/.demo-bases $(VENV)/.demo-fleet $(VENV)/.demo-nav $(VENV)/.demo-so101
