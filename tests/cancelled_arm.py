@@ -228,7 +228,7 @@ class Arm:
             for at_s, positions in seen
             if max(abs(one - there) for one, there in zip(positions, rest, strict=True)) > RESTS_RAD
         ]
-        return max(0.0, *moved)
+        return max([0.0, *moved])
 
     def use(
         self, transport: str, version: str, way: Way, call: str = ""

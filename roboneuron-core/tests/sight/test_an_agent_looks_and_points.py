@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import io
 import itertools
+import threading
 from dataclasses import replace
 from typing import Any
 
@@ -245,6 +246,14 @@ def test_a_picture_from_before_the_look_is_not_shown() -> None:
     assert view.problems.keys() == {"side"}
     views.close()
     assert not cell.takers
+
+
+def test_a_first_picture_that_is_late_is_waited_for() -> None:
+    cell, views = PaintedCell(cubes=CUBES, ages_s={}), CellViews()
+    late = threading.Timer(0.3, cell.ages_s.update, [{"above": 0.0}])
+    late.start()
+    assert views.take(cell.host, cell.profile(), table_m=0.0, wait_s=0.05, blind_s=30.0).frames
+    views.close()
 
 
 def locate(cell: PaintedCell, **arguments: Any) -> Any:

@@ -27,6 +27,10 @@ from roboneuron.sight.pose_history import PoseHistory
 _OLDEST_S = 2.0
 """Older pictures do not tell where things are now."""
 _WAIT_S = 0.8
+_BLIND_S = 3.0
+"""Longest wait for a first picture while perception runs: an overloaded computer serves a new
+subscription late, and an agent that sees nothing can do nothing but look again.
+"""
 _POLL_S = 0.01
 _KEPT_S = 5.0
 """Time that subscriptions stay after a view: an agent that works looks again within seconds, and
@@ -206,16 +210,18 @@ class CellViews:
         table_m: float,
         newer_than_ns: int = 0,
         wait_s: float = _WAIT_S,
+        blind_s: float = _BLIND_S,
     ) -> CellView:
         """Take the next picture of each camera; blocks until all have one with a known place, and
-        for at most `wait_s`.
+        for at most `wait_s`; for the first of them for up to `blind_s`, while perception runs.
 
         Args:
             host: of the feature.
             profile: of the present robot; without one no camera is calibrated.
             table_m: height of the table's top in the base frame [m].
             newer_than_ns: only pictures taken later, ROS clock [ns].
-            wait_s: longest wait [s].
+            wait_s: longest wait for the pictures of all cameras [s].
+            blind_s: longest wait for a first picture [s].
 
         Raises:
             RoboNeuronError: ROS cannot be joined.
@@ -226,7 +232,10 @@ class CellViews:
             self._users += 1
         try:
             view = watch.view(newer_than_ns, began_s)
-            while not watch.is_complete(view) and time.monotonic() < began_s + wait_s:
+            while not watch.is_complete(view):
+                is_blind = not view.frames and host.modules.view("perception").phase == "running"
+                if time.monotonic() >= began_s + (max(wait_s, blind_s) if is_blind else wait_s):
+                    break
                 time.sleep(_POLL_S)
                 view = watch.view(newer_than_ns, began_s)
             return view
