@@ -4,11 +4,9 @@ action, and those that a plugin adds to a group.
 
 from __future__ import annotations
 
-from argparse import ArgumentParser, _SubParsersAction
-
 import pytest
 
-from roboneuron.cli.listing import OLD_NAMES, OLD_OPTIONS, all_commands, present_options
+from roboneuron.cli.listing import all_commands
 from roboneuron.cli.main import main, split_action
 from roboneuron.plugins.availability import install_command
 from roboneuron.plugins.discovery import discover
@@ -218,57 +216,3 @@ def test_the_first_help_is_short(capsys):
     rows = [line for line in shown.splitlines() if line[:2] == "  " and line[2:3].isalpha()]
     assert {row.split()[0] for row in rows} == commands
     assert len(rows) == len(commands) <= MOST_COMMANDS
-
-
-def test_old_names_do_the_same_and_say_the_new_one(capsys):
-    words = {command.words for command in all_commands(discover())}
-    assert set(OLD_NAMES.values()) <= words
-    assert not OLD_NAMES.keys() & {one.split()[0] for one in words}
-    for old, now in OLD_NAMES.items():
-        helped = []
-        for name in (old, now):
-            with pytest.raises(SystemExit) as ended:
-                main([*name.split(), "--help"])
-            assert ended.value.code == 0
-            helped.append(capsys.readouterr())
-        assert helped[0].out == helped[1].out
-        assert helped[1].err == ""
-        [told] = helped[0].err.splitlines()
-        assert f"`roboneuron {now}`" in told
-
-
-@pytest.mark.parametrize(
-    ("command", "old", "now"),
-    [(command, *pair) for command, names in OLD_OPTIONS.items() for pair in names.items()],
-)
-def test_old_options_do_the_same_and_say_the_new_one(capsys, command, old, now):
-    [listed] = [one for one in all_commands(discover()) if one.words == command]
-    parser = ArgumentParser()
-    listed.load().configure(parser)
-    options = set(options_of(parser))
-    assert now in options
-    assert old not in options
-    for given, meant in (([old, "x"], [now, "x"]), ([f"{old}=x"], [f"{now}=x"])):
-        assert present_options(command, given)[0] == meant
-    with pytest.raises(SystemExit) as ended:
-        main([*command.split(), f"{old}=1", "--help"])
-    assert ended.value.code == 0
-    [told] = capsys.readouterr().err.splitlines()
-    assert f"{old} is called {now} now" in told
-
-
-def options_of(parser):
-    """Options of a command and of its actions."""
-    for action in parser._actions:
-        yield from action.option_strings
-        if isinstance(action, _SubParsersAction):
-            for subparser in action.choices.values():
-                yield from options_of(subparser)
-
-
-def test_a_plugins_command_comes_before_an_old_name(only, capsys):
-    only.install(
-        "rn-kit", CHECKER.replace('name="plugins-check", group="plugins"', 'name="limits"')
-    )
-    assert main(["limits", "x"]) == 1
-    assert capsys.readouterr() == ("checked x False None\n", "")

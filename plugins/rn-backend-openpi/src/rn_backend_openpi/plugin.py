@@ -49,6 +49,7 @@ COMMAND = CommandSpec(
     group="policy",
     summary="`serve` for the backend of a robot's configuration; of earlier releases",
     target="rn_backend_openpi.serve_command:OpenpiServerCommand",
+    old_names=("openpi-server",),
     requires=_MODULES,
 )
 MODEL_COMMAND = CommandSpec(
@@ -56,12 +57,14 @@ MODEL_COMMAND = CommandSpec(
     group="policy",
     summary="serve the model of [plugins.shared] until Ctrl-C",
     target="rn_backend_openpi.serve_command:SharedModelCommand",
+    old_names=("shared-model",),
 )
 SERVE_COMMAND = CommandSpec(
     name="policy-serve",
     group="policy",
     summary="serve models to robots on other machines, each in a process of its own",
     target="rn_backend_openpi.serve_command:ServePolicyCommand",
+    old_names=("serve-policy",),
 )
 """Descriptors of the commands."""
 

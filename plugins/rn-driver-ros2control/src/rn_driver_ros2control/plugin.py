@@ -7,6 +7,7 @@ COMMAND = CommandSpec(
     group="robot",
     summary="stand in for the ros2_control controller of a configuration: any arm, no hardware",
     target="rn_driver_ros2control.standin_command:StandInCommand",
+    old_names=("stand-in",),
     requires=(
         Requirement(module="control_msgs", install="pip install ./plugins/rn-driver-ros2control"),
     ),

@@ -15,6 +15,7 @@ COMMAND = CommandSpec(
     section="group",
     summary="measure how often a policy or an agent succeeds, over many simulated episodes",
     target="rn_eval.command:Eval",
+    old_options=(("--time-limit-s", "--max-s"),),
     brings="rn_eval.hooks:SuiteSpec",
 )
 CUBES = SuiteSpec(

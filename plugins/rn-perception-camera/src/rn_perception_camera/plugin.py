@@ -43,5 +43,7 @@ def roboneuron_commands() -> Sequence[CommandSpec]:
             group="robot",
             summary="list cameras with a picture of each, print a calibration board, calibrate",
             target="rn_cameras.command:Cameras",
+            old_names=("cameras",),
+            old_options=(("--output", "--out"),),
         )
     ]

@@ -14,6 +14,8 @@ COMMAND = CommandSpec(
     group="policy",
     summary="make demonstrations, train the small learned policy, pack and unpack its weights",
     target="rn_policy_cubes.command:CubesPolicy",
+    old_names=("cubes-policy",),
+    old_options=(("--time-limit", "--max-s"),),
 )
 MONITOR = MonitorSpec(
     name="cubes-success",

@@ -25,6 +25,7 @@ CHECK_POLICY = CommandSpec(
     group="policy",
     summary="ask a policy for recorded frames and say what is probably wired wrong",
     target="rn_recorder_policy.command:CheckPolicy",
+    old_names=("check-policy",),
 )
 """Descriptor of the command."""
 

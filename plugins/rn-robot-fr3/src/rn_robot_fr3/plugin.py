@@ -130,5 +130,6 @@ def roboneuron_commands() -> Sequence[CommandSpec]:
             group="robot",
             summary="check whether this machine and its network can control a real FR3",
             target="rn_robot_fr3.fci.check_command:Fr3",
+            old_names=("fr3",),
         )
     ]

@@ -7,6 +7,8 @@ NEW = CommandSpec(
     group="plugins",
     summary="write a plugin package that passes its contract tests",
     target="rn_testing.new:New",
+    old_names=("new",),
+    old_options=(("--directory", "--out"),),
 )
 """Descriptor of `roboneuron plugins new`."""
 CHECK = CommandSpec(

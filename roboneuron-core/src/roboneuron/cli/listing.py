@@ -1,9 +1,9 @@
-"""Commands of `roboneuron`: those of the core and of plugins, their groups, and their old names."""
+"""Commands of `roboneuron`: those of the core and of plugins, their groups, and old names."""
 
 from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from typing import NamedTuple, Protocol, cast
@@ -13,31 +13,6 @@ from roboneuron.plugins.availability import known_names
 from roboneuron.plugins.loading import OLD_NAMES_END, load_target
 from roboneuron.plugins.registry import Registry
 from roboneuron.plugins.specs import COMMAND_SECTIONS, CommandSpec
-
-OLD_NAMES = {
-    "cameras": "robot cameras",
-    "check-policy": "policy check",
-    "cubes-policy": "policy cubes",
-    "describe": "ros describe",
-    "fr3": "robot fr3",
-    "limits": "robot limits",
-    "maintenance": "robot maintenance",
-    "new": "plugins new",
-    "openpi-server": "policy openpi",
-    "serve-policy": "policy serve",
-    "shared-model": "policy share",
-    "stand-in": "robot stand-in",
-}
-"""Present words of commands by their old name, which is accepted until `OLD_NAMES_END`."""
-
-OLD_OPTIONS = {
-    "demo": {"--output": "--out"},
-    "eval": {"--time-limit-s": "--max-s"},
-    "plugins new": {"--directory": "--out"},
-    "policy cubes": {"--time-limit": "--max-s"},
-    "robot cameras": {"--output": "--out"},
-}
-"""Present options by their old name, by the words of their command; accepted as `OLD_NAMES`."""
 
 
 class Command(NamedTuple):
@@ -91,6 +66,17 @@ class ListedCommand:
     group: str = ""
     section: str = ""
 
+    @classmethod
+    def of(cls, spec: CommandSpec, registry: Registry) -> ListedCommand:
+        """The command of a plugin."""
+        return cls(
+            name=spec.name,
+            summary=spec.summary,
+            registry=registry,
+            group=spec.group,
+            section=spec.section,
+        )
+
     @property
     def words(self) -> str:
         """Its name on the command line."""
@@ -100,6 +86,13 @@ class ListedCommand:
     def word(self) -> str:
         """The last of its words."""
         return self.name.removeprefix(f"{self.group}-") if self.group else self.name
+
+    @property
+    def old_options(self) -> dict[str, str]:
+        """Present options by their old name; raises as `load`."""
+        if self.registry is None:
+            return {}
+        return dict(self.registry.get(CommandSpec, self.name).old_options)
 
     def load(self) -> CommandModule:
         """Import it.
@@ -137,13 +130,7 @@ def all_commands(registry: Registry) -> tuple[ListedCommand, ...]:
     ]
     specs = registry.specs(CommandSpec).values()
     installed = [
-        ListedCommand(
-            name=spec.name,
-            summary=spec.summary,
-            registry=registry,
-            group=spec.group,
-            section=spec.section,
-        )
+        ListedCommand.of(spec, registry)
         for spec in specs
         if spec.name not in COMMANDS and spec.group not in COMMANDS
     ]
@@ -152,11 +139,7 @@ def all_commands(registry: Registry) -> tuple[ListedCommand, ...]:
 
 def group_names(registry: Registry) -> frozenset[str]:
     """Words that precede those of commands, of installed plugins and of the project's others."""
-    offered = {
-        offer.spec.group
-        for offer in registry.offers("command")
-        if isinstance(offer.spec, CommandSpec)
-    }
+    offered = {spec.group for spec in _offered(registry)}
     # a hyphen of a command's name follows its group in all packages of the project
     known = {name.partition("-")[0] for name in known_names("command") if "-" in name}
     return frozenset(offered | known) - {""}
@@ -182,31 +165,38 @@ def top_level(commands: Iterable[ListedCommand]) -> dict[str, list[tuple[str, st
     return {section: rows for section, rows in found.items() if rows}
 
 
-def present_words(words: Sequence[str], commands: Iterable[str]) -> tuple[list[str], str]:
+def _offered(registry: Registry) -> Iterator[CommandSpec]:
+    """Commands of the installed plugins, unusable ones included."""
+    for offer in registry.offers("command"):
+        if isinstance(offer.spec, CommandSpec):
+            yield offer.spec
+
+
+def present_words(
+    words: Sequence[str], registry: Registry, commands: Iterable[str]
+) -> tuple[list[str], str]:
     """A command line with the present name of its command, and a sentence about an old one; empty
     if the name is not old.
 
     Args:
         words: the command line.
+        registry: the installed plugins.
         commands: first words that commands of this installation have.
     """
-    now = OLD_NAMES.get(words[0]) if words else None
-    if now is None or words[0] in commands:
+    renamed = {old: spec for spec in _offered(registry) for old in spec.old_names}
+    spec = renamed.get(words[0])
+    if spec is None or words[0] in commands:
         return list(words), ""
+    now = ListedCommand.of(spec, registry).words
     return [*now.split(), *words[1:]], (
         f"`roboneuron {words[0]}` is called `roboneuron {now}` now; the old name is accepted until "
         f"{OLD_NAMES_END}."
     )
 
 
-def present_options(command: str, words: Sequence[str]) -> tuple[list[str], list[str]]:
-    """The words after a command with present options, and a sentence about each old one.
-
-    Args:
-        command: its words.
-        words: the words after it.
-    """
-    old = OLD_OPTIONS.get(command, {})
+def present_options(command: ListedCommand, words: Sequence[str]) -> tuple[list[str], list[str]]:
+    """The words after a command with present options, and a sentence about each old one."""
+    old = command.old_options
     found, told = [], []
     for word in words:
         option, is_set, value = word.partition("=")

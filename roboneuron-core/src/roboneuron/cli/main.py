@@ -202,7 +202,7 @@ def _run(
 ) -> int:
     if is_typed and command.name != "estop":  # must work whatever else is wrong
         keep_apart(words)
-    words, told = present_options(command.words, words)
+    words, told = present_options(command, words)
     for sentence in told:
         print(f"roboneuron: {sentence}", file=sys.stderr)
     return run_command(command.load(), f"roboneuron {command.words}", words, others)
@@ -213,7 +213,7 @@ def _run_of_plugin(words: Sequence[str], *, is_typed: bool) -> int:
     registry = discover()
     offered = {offer.spec.name for offer in registry.offers("command")}
     groups = group_names(registry)
-    words, told = present_words(words, offered | groups)
+    words, told = present_words(words, registry, offered | groups)
     if told:
         print(f"roboneuron: {told}", file=sys.stderr)
     first, *own = words

@@ -158,6 +158,16 @@ def _check_command(spec: CommandSpec, who: str) -> None:
         f"The section of {who} is {spec.section!r}, expected one of "
         f"{', '.join(filter(None, COMMAND_SECTIONS))}, or none; a command of a group has none.",
     )
+    for name in spec.old_names:
+        _require(
+            NAME_PATTERN.fullmatch(name) is not None,
+            f"The old name {name!r} of {who} is malformed, expected one word.",
+        )
+    for pair in spec.old_options:
+        _require(
+            len(pair) == 2 and all(option.startswith("-") for option in pair),
+            f"An old option of {who} is {pair!r}, expected a pair as ('--output', '--out').",
+        )
 
 
 def _check_unique(names: Iterable[str], who: str) -> None:

@@ -358,6 +358,9 @@ class CommandSpec(Spec):
             GROUP WORD`. Empty: a command of the top level.
         section: of `roboneuron --help`, for a command of the top level: "start", "operate", "group"
             (it has commands of its own), or empty for the last one.
+        old_names: words after `roboneuron` that it had before, accepted with a note on standard
+            error.
+        old_options: pairs of an option's old and present name, accepted likewise.
     """
 
     kind: ClassVar[str] = "command"
@@ -365,6 +368,8 @@ class CommandSpec(Spec):
     brings: str | None = None
     group: str = ""
     section: str = ""
+    old_names: tuple[str, ...] = ()
+    old_options: tuple[tuple[str, str], ...] = ()
 
 
 COMMAND_SECTIONS = ("start", "operate", "group", "")

@@ -6,6 +6,7 @@ COMMAND = CommandSpec(
     name="demo",
     summary="an agent stand-in picks up a cube with the simulated robot",
     target="rn_standard.demo.command:Demo",
+    old_options=(("--output", "--out"),),
     section="start",
 )
 """Descriptor of the command."""

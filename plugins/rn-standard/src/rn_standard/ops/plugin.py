@@ -47,6 +47,7 @@ MAINTENANCE_COMMAND = CommandSpec(
     group="robot",
     summary="take the robot out of service, or put it back",
     target="rn_standard.ops.maintenance_command:Maintenance",
+    old_names=("maintenance",),
 )
 """Descriptor of the command."""
 

@@ -36,6 +36,7 @@ COMMAND = CommandSpec(
     group="robot",
     summary="show the limits that clients have tightened, and loosen them",
     target="roboneuron.tools.arm.limits_command:Limits",
+    old_names=("limits",),
 )
 """Descriptor of the command."""
 

@@ -17,6 +17,7 @@ COMMAND = CommandSpec(
     group="ros",
     summary="show a ROS interface as agents see it, or list the installed ones",
     target="roboneuron.tools.ros.describe:Describe",
+    old_names=("describe",),
 )
 """Descriptor of the command."""
 
